@@ -1,0 +1,43 @@
+//! A map with paths on it, as text for a terminal.
+
+use super::map::{Cell, Map};
+
+/// `map` as text, one line a row, the cells of `path` marked with `mark`. Start, goal and walls stay visible, and
+/// cells outside the map are left out.
+pub fn draw(map: &Map, path: &[Cell], mark: char) -> String {
+    draw_paths(map, &[(path, mark)])
+}
+
+/// [`draw`] with several paths: where two meet, the later one's mark is seen.
+pub fn draw_paths(map: &Map, paths: &[(&[Cell], char)]) -> String {
+    let mut letters: Vec<Vec<char>> = map.to_string().lines().map(|line| line.chars().collect()).collect();
+    for (path, mark) in paths {
+        for &cell in path.iter().filter(|&&cell| map.is_free(cell)) {
+            if cell != map.start() && cell != map.goal() {
+                letters[cell[1]][cell[0]] = *mark;
+            }
+        }
+    }
+    letters.into_iter().flat_map(|line| line.into_iter().chain(['\n'])).collect()
+}
+
+/// The cells of a maze's states as they are in demonstrations and evaluations: (column, row) after (column, row).
+pub fn cells(states: &[f32]) -> Vec<Cell> {
+    // A cast saturates: what is no cell ends up outside the map, or in column or row 0.
+    states.chunks_exact(2).map(|state| [state[0].round() as usize, state[1].round() as usize]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn paths_are_laid_over_free_cells() {
+        let map = Map::parse("m", "S.#\n...\n..G\n").unwrap();
+        assert_eq!(draw(&map, &[[0, 0], [1, 0], [2, 0], [1, 1], [2, 2], [9, 9]], '*'), "S*#\n.*.\n..G\n");
+        let (first, second) = (cells(&[0.0, 1.0, 1.0, 1.0]), cells(&[1.0, 1.0, 1.0, 2.0]));
+        assert_eq!(draw_paths(&map, &[(&first, 'm'), (&second, 'o')]), "S.#\nmo.\n.oG\n");
+        assert_eq!(draw(&map, &[], '*'), map.to_string());
+    }
+}

@@ -1,0 +1,11 @@
+//! Environments, the epsilon-greedy policy and the process that collects transitions.
+//!
+//! * [`mod@env`]: the trait that every environment fulfils, and the environments;
+//! * [`policy`]: from a flat parameter vector and an observation to an action;
+//! * [`worker`]: one actor without any transport: batches, greedy evaluations, snapshots;
+//! * [`run`]: the loop of an actor's process.
+
+pub mod env;
+pub mod policy;
+pub mod run;
+pub mod worker;

@@ -1,0 +1,69 @@
+//! The loop of an actor's process: wait for a tick, do what it says, answer.
+
+use crate::worker::{ActorError, Worker};
+use trestle_proto::batch::Batch;
+use trestle_proto::codec::{self, CodecError};
+use trestle_proto::limits::WAIT_SLICE;
+use trestle_proto::logging;
+use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply, ReplyHeader};
+use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
+use trestle_proto::transport::{ActorLink, LinkError, Stop};
+
+/// What ends an actor's process before the learner says so.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The environment, the network or a snapshot.
+    #[error(transparent)]
+    Actor(#[from] ActorError),
+    /// The other processes.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// An evaluation that cannot be encoded.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+}
+
+/// Serves the learner at the other end of `link` with `worker`, until it sends [`STOP`] or `stop` says so.
+///
+/// # Errors
+/// A message that cannot be right, a peer that is gone, or an environment that fails.
+pub fn run(
+    link: &mut impl ActorLink,
+    worker: &mut Worker,
+    rollout: usize,
+    stop: Stop<'_>,
+) -> Result<(), RunError> {
+    link.hello(stop)?;
+    tracing::info!("ready");
+    let mut params = vec![0.0; worker.n_params()];
+    let mut batch = Batch::with_capacity(rollout, worker.obs_dim());
+    while !stop() {
+        let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
+        logging::set_tick(tick.tick);
+        match tick.kind {
+            COLLECT => {
+                link.weights(tick.weights_version, &mut params)?;
+                worker.collect(&params, &tick, &mut batch)?;
+                link.send_batch(&batch)?;
+            }
+            EVALUATE if worker.index() == 0 => {
+                link.weights(tick.weights_version, &mut params)?;
+                let evaluation = worker.evaluate(&params, &tick)?;
+                let payload = codec::encode(EVALUATION_KIND, &evaluation)?;
+                link.send_reply(&Reply { header: header(worker, &tick, EVALUATION), payload })?;
+            }
+            SNAPSHOT => {
+                let payload = worker.snapshot()?;
+                link.send_reply(&Reply { header: header(worker, &tick, ACTOR_STATE), payload })?;
+            }
+            STOP => break,
+            _ => {}
+        }
+    }
+    tracing::info!("leaving");
+    Ok(())
+}
+
+fn header(worker: &Worker, tick: &Tick, kind: u32) -> ReplyHeader {
+    ReplyHeader { run: tick.run, tick: tick.tick, actor: worker.index(), kind }
+}

@@ -1,0 +1,323 @@
+//! One actor without any transport: it collects batches, plays greedy evaluations, and can be saved and restored.
+
+use crate::env::{EnvError, Environment, build};
+use crate::policy::Policy;
+use serde::{Deserialize, Serialize};
+use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::codec::{self, CodecError, Kind};
+use trestle_proto::config;
+use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::reply::{Evaluation, EvaluationEpisode};
+use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_proto::schedule;
+use trestle_proto::tick::Tick;
+use trestle_qnet::{PlanError, network_of};
+
+const KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
+
+/// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
+/// [`MAX_REPLY_BYTES`].
+const MAX_PATH_FEATURES: usize = MAX_REPLY_BYTES / 8;
+
+/// An actor that cannot be made, or cannot do what a tick asks for.
+#[derive(Debug, thiserror::Error)]
+pub enum ActorError {
+    /// The environment.
+    #[error(transparent)]
+    Env(#[from] EnvError),
+    /// The network and its input.
+    #[error(transparent)]
+    Network(#[from] PlanError),
+    /// The plan's spaces are not those of the environment that its configuration describes.
+    #[error("the plan's spaces of {planned} are not those of the environment {built} of its configuration")]
+    Spec {
+        /// Name in the plan.
+        planned: String,
+        /// Name of what was built.
+        built: String,
+    },
+    /// No actor of the run has this index.
+    #[error("actor {index}; accepted: 0 to {last}")]
+    Index {
+        /// The index.
+        index: u32,
+        /// The largest one.
+        last: u32,
+    },
+    /// Weights of another network.
+    #[error("weights of {found} parameters; this run's network has {expected}")]
+    Params {
+        /// Their number.
+        found: usize,
+        /// The network's.
+        expected: usize,
+    },
+    /// Too much work, or none.
+    #[error("tick {tick} asks for {amount} steps or episodes; accepted: 1 to {MAX_ROLLOUT}")]
+    Amount {
+        /// Number of the tick.
+        tick: u64,
+        /// What it asks for.
+        amount: u32,
+    },
+    /// A snapshot that cannot be written or read.
+    #[error("snapshot of an actor: {0}")]
+    Snapshot(#[from] CodecError),
+    /// A snapshot that is sound, but of another actor.
+    #[error("snapshot of actor {found}, with {features} features; this is actor {index}, with {expected}")]
+    Foreign {
+        /// Actor in the snapshot.
+        found: u32,
+        /// Features of its observation.
+        features: usize,
+        /// This actor.
+        index: u32,
+        /// Features of an observation here.
+        expected: usize,
+    },
+}
+
+/// The state of one actor.
+pub struct Worker {
+    index: u32,
+    seed: u64,
+    exploration: config::Exploration,
+    policy: Policy,
+    env: Box<dyn Environment>,
+    /// For greedy episodes, so that they leave `env` alone.
+    evaluation_env: Box<dyn Environment>,
+    explore: Stream,
+    environment: Stream,
+    /// Where `env` is.
+    obs: Vec<f32>,
+    /// Where a step of either environment has led.
+    next_obs: Vec<f32>,
+    /// Where `evaluation_env` is.
+    evaluation_obs: Vec<f32>,
+    /// Whether the next transition is the first of its episode.
+    first: bool,
+    /// The actor's own number of the next transition.
+    seq: u64,
+}
+
+/// What a snapshot holds.
+#[derive(Serialize, Deserialize)]
+struct State {
+    index: u32,
+    seq: u64,
+    first: bool,
+    obs: Vec<f32>,
+    env: Vec<u8>,
+    explore: Stream,
+    environment: Stream,
+}
+
+impl Worker {
+    /// Actor `index` of the run that `plan` describes, at the start of its first episode.
+    ///
+    /// # Errors
+    /// A configuration that gives no environment or no network, a plan whose spaces are not those of its
+    /// environment, or an index that the run does not have.
+    pub fn new(plan: &RunPlan, index: u32) -> Result<Self, ActorError> {
+        let run = &plan.config.run;
+        if index >= run.actors {
+            return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
+        }
+        let mut env = build(&plan.config.env)?;
+        if *env.spec() != plan.spec {
+            let (planned, built) = (plan.spec.name.clone(), env.spec().name.clone());
+            return Err(ActorError::Spec { planned, built });
+        }
+        let (layout, encoding) = network_of(plan)?;
+        let obs_dim = plan.spec.obs_dim();
+        let mut environment = stream(run.seed, Purpose::Environment, u64::from(index));
+        let mut obs = vec![0.0; obs_dim];
+        env.reset(&mut environment, &mut obs);
+        Ok(Self {
+            index,
+            seed: run.seed,
+            exploration: plan.config.exploration.clone(),
+            policy: Policy::new(layout, encoding),
+            env,
+            evaluation_env: build(&plan.config.env)?,
+            explore: stream(run.seed, Purpose::Explore, u64::from(index)),
+            environment,
+            obs,
+            next_obs: vec![0.0; obs_dim],
+            evaluation_obs: vec![0.0; obs_dim],
+            first: true,
+            seq: 0,
+        })
+    }
+
+    /// Index of the actor, from 0.
+    pub fn index(&self) -> u32 {
+        self.index
+    }
+
+    /// Features of an observation.
+    pub fn obs_dim(&self) -> usize {
+        self.obs.len()
+    }
+
+    /// Number of parameters of the network that it acts with.
+    pub fn n_params(&self) -> usize {
+        self.policy.n_params()
+    }
+
+    /// Takes `tick.amount` steps with the flat parameters `params` and writes them to `batch`, header included; an
+    /// episode that ends is followed by the next one. Allocates only while `batch` grows.
+    ///
+    /// Step s of actor i explores with the ε of environment step `tick.env_steps + i * tick.amount + s`: the place
+    /// that the step has among those of all actors.
+    ///
+    /// # Errors
+    /// Parameters of another network, or an amount out of range; nothing has happened then.
+    pub fn collect(&mut self, params: &[f32], tick: &Tick, batch: &mut Batch) -> Result<(), ActorError> {
+        self.check(params, tick)?;
+        batch.prepare(BatchHeader {
+            run: tick.run,
+            tick: tick.tick,
+            first_seq: self.seq,
+            weights_version: tick.weights_version,
+            actor: self.index,
+            incarnation: 0,
+            count: tick.amount,
+            obs_dim: self.obs.len() as u32,
+        });
+        let before = tick.env_steps.saturating_add(u64::from(self.index) * u64::from(tick.amount));
+        for s in 0..tick.amount {
+            let epsilon = schedule::epsilon(&self.exploration, before.saturating_add(u64::from(s)));
+            let action = self.policy.act(params, &self.obs, epsilon, &mut self.explore);
+            let step = self.env.step(action, &mut self.next_obs)?;
+            let flags = if self.first { FIRST } else { 0 }
+                | if step.terminated { TERMINATED } else { 0 }
+                | if step.truncated { TRUNCATED } else { 0 };
+            let (obs, next_obs) = (&self.obs, &self.next_obs);
+            batch.set(s as usize, &Transition { obs, next_obs, action, reward: step.reward, flags });
+            self.seq += 1;
+            self.first = step.terminated || step.truncated;
+            if self.first {
+                self.env.reset(&mut self.environment, &mut self.obs);
+            } else {
+                std::mem::swap(&mut self.obs, &mut self.next_obs);
+            }
+        }
+        Ok(())
+    }
+
+    /// Plays `tick.amount` greedy episodes with the flat parameters `params`, in an environment of their own. Their
+    /// resets draw from a stream that depends on the run's seed and `tick.evaluation` alone; the collecting side of
+    /// the actor is untouched.
+    ///
+    /// The paths of the first episodes are returned, as many as fit into a reply; those of the others are empty.
+    ///
+    /// # Errors
+    /// As [`Worker::collect`].
+    pub fn evaluate(&mut self, params: &[f32], tick: &Tick) -> Result<Evaluation, ActorError> {
+        self.check(params, tick)?;
+        let mut rng = stream(self.seed, Purpose::Evaluation, tick.evaluation);
+        let mut room = MAX_PATH_FEATURES;
+        let mut episodes = Vec::with_capacity(tick.amount as usize);
+        for _ in 0..tick.amount {
+            let episode = self.play(params, &mut rng, room)?;
+            // Once a path has been left out, all later ones are.
+            room = if episode.path.is_empty() { 0 } else { room - episode.path.len() };
+            episodes.push(episode);
+        }
+        Ok(Evaluation { evaluation: tick.evaluation, episodes })
+    }
+
+    /// One greedy episode, its path left out if it has more than `room` features.
+    fn play(
+        &mut self,
+        params: &[f32],
+        rng: &mut Stream,
+        room: usize,
+    ) -> Result<EvaluationEpisode, ActorError> {
+        let (mut total_reward, mut length) = (0.0, 0);
+        self.evaluation_env.reset(rng, &mut self.evaluation_obs);
+        let mut path = Vec::new();
+        let mut fits = true;
+        let mut record = |obs: &[f32]| {
+            fits = fits && path.len() + obs.len() <= room;
+            if fits {
+                path.extend_from_slice(obs);
+            }
+            fits
+        };
+        let (mut whole, mut success) = (record(&self.evaluation_obs), None);
+        while success.is_none() {
+            let action = self.policy.greedy(params, &self.evaluation_obs);
+            let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
+            total_reward += f64::from(step.reward);
+            length += 1;
+            whole = record(&self.evaluation_obs);
+            success = (step.terminated || step.truncated).then_some(step.terminated);
+        }
+        if !whole {
+            path = Vec::new();
+        }
+        Ok(EvaluationEpisode { total_reward, length, success: success == Some(true), path })
+    }
+
+    /// Refuses what would be out of bounds.
+    fn check(&self, params: &[f32], tick: &Tick) -> Result<(), ActorError> {
+        let expected = self.policy.n_params();
+        if params.len() != expected {
+            return Err(ActorError::Params { found: params.len(), expected });
+        }
+        if !(1..=MAX_ROLLOUT).contains(&tick.amount) {
+            return Err(ActorError::Amount { tick: tick.tick, amount: tick.amount });
+        }
+        Ok(())
+    }
+
+    /// All that changes while the actor collects: the environment in the middle of its episode, both random streams,
+    /// the count of transitions. A codec frame that only [`Worker::restore`] reads.
+    ///
+    /// # Errors
+    /// A state that the codec cannot write.
+    pub fn snapshot(&self) -> Result<Vec<u8>, ActorError> {
+        let state = State {
+            index: self.index,
+            seq: self.seq,
+            first: self.first,
+            obs: self.obs.clone(),
+            env: self.env.snapshot()?,
+            explore: self.explore.clone(),
+            environment: self.environment.clone(),
+        };
+        Ok(codec::encode(KIND, &state)?)
+    }
+
+    /// Takes over the state in `bytes`, a snapshot of the same actor of the same run: every batch from then on is what
+    /// it would have been.
+    ///
+    /// # Errors
+    /// Bytes that are damaged or of another actor or environment; the actor is unchanged then.
+    pub fn restore(&mut self, bytes: &[u8]) -> Result<(), ActorError> {
+        let state: State = codec::decode(KIND, bytes)?;
+        let (index, expected) = (self.index, self.obs.len());
+        if state.index != index || state.obs.len() != expected {
+            return Err(ActorError::Foreign {
+                found: state.index,
+                features: state.obs.len(),
+                index,
+                expected,
+            });
+        }
+        self.env.restore(&state.env)?;
+        self.obs = state.obs;
+        self.seq = state.seq;
+        self.first = state.first;
+        self.explore = state.explore;
+        self.environment = state.environment;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "worker_tests.rs"]
+mod tests;

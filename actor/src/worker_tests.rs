@@ -1,0 +1,256 @@
+//! Tests of one actor without any transport.
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use trestle_proto::tick::{COLLECT, EVALUATE};
+
+fn plan(overrides: &[&str]) -> RunPlan {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let mut config = config::load("maze-small", &overrides).unwrap();
+    crate::env::resolve(&mut config.env, config.run.seed).unwrap();
+    let spec = build(&config.env).unwrap().spec().clone();
+    RunPlan { run: 77, config, spec, mentor_len: 0, resume_tick: None }
+}
+
+/// A plan on the map `layout` with actions W and E, a network without influence but its output's bias.
+fn corridor(layout: &str, overrides: &[&str]) -> RunPlan {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("map.txt");
+    std::fs::write(&path, layout).unwrap();
+    let map = format!("env.map={}", path.display());
+    let mut all =
+        vec![map.as_str(), "env.action_sets.line=['W', 'E']", "env.actions=line", "env.step_limit=7"];
+    all.extend(overrides);
+    plan(&all)
+}
+
+/// Parameters with which `action` is the best everywhere.
+fn always(plan: &RunPlan, action: usize) -> Vec<f32> {
+    let (layout, _) = network_of(plan).unwrap();
+    let mut params = vec![0.0; layout.n_params()];
+    let bias = layout.n_params() - layout.output();
+    params[bias + action] = 1.0;
+    params
+}
+
+/// Parameters with which actions depend on the state.
+fn random_params(plan: &RunPlan) -> Vec<f32> {
+    trestle_qnet::init(&network_of(plan).unwrap().0, &mut stream(1, Purpose::Weights, 0))
+}
+
+fn tick(tick: u64, kind: u32, amount: u32) -> Tick {
+    let env_steps = (tick - 1) * u64::from(amount);
+    Tick { run: 77, tick, weights_version: tick - 1, env_steps, evaluation: 0, kind, amount }
+}
+
+/// `n` batches of `amount` steps.
+fn batches(worker: &mut Worker, params: &[f32], first: u64, n: u64, amount: u32) -> Vec<Batch> {
+    let mut collect = |t| {
+        let mut batch = Batch::default();
+        worker.collect(params, &tick(t, COLLECT, amount), &mut batch).unwrap();
+        batch
+    };
+    (first..first + n).map(&mut collect).collect()
+}
+
+#[test]
+fn batches_are_complete_and_continuous() {
+    let plan = plan(&["run.actors=2", "env.step_limit=50"]);
+    let params = random_params(&plan);
+    let mut worker = Worker::new(&plan, 1).unwrap();
+    assert_eq!((worker.index(), worker.obs_dim(), worker.n_params()), (1, 2, params.len()));
+    let (mut expected, mut obs, mut ends) = (FIRST, vec![0.0, 0.0], 0);
+    for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
+        let header = BatchHeader {
+            run: 77,
+            tick: t,
+            first_seq: (t - 1) * 32,
+            weights_version: t - 1,
+            actor: 1,
+            incarnation: 0,
+            count: 32,
+            obs_dim: 2,
+        };
+        assert_eq!(batch.header, header);
+        Batch::default().receive(header, batch.payload(), 2, 4).unwrap();
+        for i in 0..32 {
+            let transition = batch.transition(i);
+            assert_eq!((transition.flags & FIRST, transition.obs), (expected, obs.as_slice()));
+            let end = transition.ends_episode();
+            expected = if end { FIRST } else { 0 };
+            obs = if end { vec![0.0, 0.0] } else { transition.next_obs.to_vec() };
+            ends += u32::from(end);
+        }
+    }
+    // 640 steps in episodes of at most 50.
+    assert!(ends >= 12);
+}
+
+#[test]
+fn flags_tell_how_an_episode_ended() {
+    let flags = |layout: &str, action| {
+        let plan = corridor(layout, &["exploration.epsilon_start=0", "exploration.epsilon_end=0"]);
+        let params = always(&plan, action);
+        batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, 1, 8)[0].flags().to_vec()
+    };
+    assert_eq!(
+        flags("S.G\n", 1),
+        [FIRST, TERMINATED, FIRST, TERMINATED, FIRST, TERMINATED, FIRST, TERMINATED]
+    );
+    assert_eq!(flags("SG\n", 1), [FIRST | TERMINATED; 8]);
+    assert_eq!(flags("SG\n", 0), [FIRST, 0, 0, 0, 0, 0, TRUNCATED, FIRST]);
+}
+
+#[test]
+fn the_cut_into_batches_changes_nothing() {
+    let plan = plan(&["env.step_limit=50"]);
+    let params = random_params(&plan);
+    let transitions = |n, amount: u32| {
+        let made = batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, n, amount);
+        let all = made.iter().flat_map(|b| (0..b.len()).map(|i| format!("{:?}", b.transition(i))));
+        all.collect::<Vec<_>>()
+    };
+    assert_eq!(transitions(64, 5), transitions(1, 320));
+}
+
+#[test]
+fn actors_and_seeds_differ() {
+    let actions = |seed: &str, index| {
+        let plan = plan(&["run.actors=2", seed]);
+        let params = random_params(&plan);
+        batches(&mut Worker::new(&plan, index).unwrap(), &params, 1, 1, 64)[0].actions().to_vec()
+    };
+    assert_eq!(actions("run.seed=1", 0), actions("run.seed=1", 0));
+    assert_ne!(actions("run.seed=1", 0), actions("run.seed=1", 1));
+    assert_ne!(actions("run.seed=1", 0), actions("run.seed=2", 0));
+}
+
+#[test]
+fn exploration_follows_the_schedule_over_all_actors() {
+    let explores = |index, env_steps| {
+        let plan = corridor(
+            "S......G\n",
+            &[
+                "run.actors=2",
+                "exploration.epsilon_start=1",
+                "exploration.epsilon_end=0",
+                "exploration.epsilon_decay_steps=64",
+            ],
+        );
+        let params = always(&plan, 1);
+        let mut batch = Batch::default();
+        let tick = Tick { env_steps, ..tick(1, COLLECT, 64) };
+        Worker::new(&plan, index).unwrap().collect(&params, &tick, &mut batch).unwrap();
+        batch.actions().contains(&0)
+    };
+    assert!(explores(0, 0));
+    // The second actor's first step is the 65th of the tick.
+    assert!(!explores(1, 0));
+    assert!(!explores(0, 64));
+    assert!(!explores(1, u64::MAX));
+}
+
+#[test]
+fn a_restored_actor_makes_the_same_batches() {
+    let plan = plan(&["env.step_limit=90"]);
+    let params = random_params(&plan);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    for first in [1, 8, 15] {
+        batches(&mut worker, &params, first, 7, 13);
+        let bytes = worker.snapshot().unwrap();
+        let mut other = Worker::new(&plan, 0).unwrap();
+        batches(&mut other, &params, 1, 2, 10);
+        other.restore(&bytes).unwrap();
+        assert_eq!(other.snapshot().unwrap(), bytes);
+        let went_on = batches(&mut other, &params, first + 7, 20, 13);
+        worker.restore(&bytes).unwrap();
+        assert_eq!(batches(&mut worker, &params, first + 7, 20, 13), went_on);
+        worker.restore(&bytes).unwrap();
+    }
+}
+
+#[test]
+fn an_evaluation_disturbs_nothing_and_repeats() {
+    let plan = plan(&["env.step_limit=60"]);
+    let params = random_params(&plan);
+    let mut quiet = Worker::new(&plan, 0).unwrap();
+    let mut evaluating = Worker::new(&plan, 0).unwrap();
+    let mut seen = Vec::new();
+    for t in 1..10 {
+        let before = evaluating.snapshot().unwrap();
+        seen.push(evaluating.evaluate(&params, &tick(t, EVALUATE, 2)).unwrap());
+        assert_eq!(evaluating.snapshot().unwrap(), before);
+        assert_eq!(batches(&mut evaluating, &params, t, 1, 16), batches(&mut quiet, &params, t, 1, 16));
+    }
+    assert!(seen.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+#[test]
+fn greedy_episodes_are_reported_as_they_were_played() {
+    let played = |layout: &str, action| {
+        let plan = corridor(layout, &["exploration.epsilon_end=1"]);
+        let params = always(&plan, action);
+        let tick = Tick { evaluation: 3, ..tick(1, EVALUATE, 2) };
+        let evaluation = Worker::new(&plan, 0).unwrap().evaluate(&params, &tick).unwrap();
+        assert_eq!((evaluation.evaluation, evaluation.episodes.len()), (3, 2));
+        assert_eq!(evaluation.episodes[0], evaluation.episodes[1]);
+        evaluation.episodes[0].clone()
+    };
+    let there = played("S..G\n", 1);
+    assert!((there.total_reward - 0.92).abs() < 1e-6);
+    assert_eq!((there.length, there.success), (3, true));
+    assert_eq!(there.path, [0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 3.0, 0.0]);
+    let stuck = played("S..G\n", 0);
+    assert!((stuck.total_reward + 7.0 * 0.75).abs() < 1e-6);
+    assert_eq!((stuck.length, stuck.success, stuck.path), (7, false, vec![0.0; 16]));
+}
+
+#[test]
+fn a_path_without_room_is_left_out() {
+    let plan = corridor("S..G\n", &[]);
+    let params = always(&plan, 1);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let mut path =
+        |room| worker.play(&params, &mut stream(0, Purpose::Evaluation, 0), room).unwrap().path.len();
+    assert_eq!((path(8), path(7), path(0)), (8, 0, 0));
+}
+
+#[test]
+fn what_cannot_be_done_is_refused() {
+    let plan = plan(&["run.actors=2"]);
+    let params = random_params(&plan);
+    let refused = Worker::new(&plan, 2).err().unwrap().to_string();
+    assert_eq!(refused, "actor 2; accepted: 0 to 1");
+    let mut foreign = plan.clone();
+    foreign.spec.best_return = None;
+    assert!(matches!(Worker::new(&foreign, 0), Err(ActorError::Spec { .. })));
+
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let before = worker.snapshot().unwrap();
+    let mut batch = Batch::default();
+    let message = worker.collect(&params[1..], &tick(1, COLLECT, 8), &mut batch).unwrap_err().to_string();
+    let expected =
+        format!("weights of {} parameters; this run's network has {}", params.len() - 1, params.len());
+    assert_eq!(message, expected);
+    for amount in [0, MAX_ROLLOUT + 1] {
+        assert!(matches!(
+            worker.collect(&params, &Tick { amount, ..tick(1, COLLECT, 8) }, &mut batch),
+            Err(ActorError::Amount { tick: 1, .. })
+        ));
+    }
+    let other = Worker::new(&plan, 1).unwrap().snapshot().unwrap();
+    let message = worker.restore(&other).unwrap_err().to_string();
+    assert_eq!(message, "snapshot of actor 1, with 2 features; this is actor 0, with 2");
+    assert!(matches!(worker.restore(&before[..9]), Err(ActorError::Snapshot(_))));
+    assert_eq!(worker.snapshot().unwrap(), before);
+}
+
+#[test]
+fn both_encodings_give_a_network_that_acts() {
+    for encoding in ["coordinates", "one-hot"] {
+        let plan = plan(&[&format!("env.encoding={encoding}"), "learner.hidden=[16]"]);
+        let params = random_params(&plan);
+        let made = batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, 2, 32);
+        assert!(made[1].actions().iter().any(|&action| action != made[1].actions()[0]));
+    }
+}

@@ -1,0 +1,30 @@
+//! What was built, for `build.json`: version, commit, processor features, back ends.
+
+use serde::Serialize;
+
+/// The contents of `build.json`.
+#[derive(Debug, Serialize)]
+pub(crate) struct BuildInfo {
+    version: &'static str,
+    /// Commit of the sources, if they were built in a checkout.
+    commit: Option<&'static str>,
+    profile: &'static str,
+    target: String,
+    /// Instruction set that the kernels use on this machine.
+    isa: String,
+    /// The environments' engines.
+    backends: &'static [&'static str],
+}
+
+impl BuildInfo {
+    pub(crate) fn new() -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            commit: option_env!("TRESTLE_COMMIT"),
+            profile: if cfg!(debug_assertions) { "dev" } else { "release" },
+            target: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
+            isa: trestle_qnet::Isa::detect().to_string(),
+            backends: &["maze"],
+        }
+    }
+}

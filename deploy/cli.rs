@@ -1,0 +1,170 @@
+//! Arguments as they are typed. What they mean together is resolved by the commands.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
+#[derive(Debug, Parser)]
+#[command(name = "trestle", version, max_term_width = 110)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Train one agent
+    Train(Train),
+    /// Play the greedy policy of a run's newest checkpoint and draw its path
+    Eval(Eval),
+    /// Work with demonstrations
+    #[command(subcommand)]
+    Demo(Demo),
+    /// Show or check a configuration
+    #[command(subcommand)]
+    Config(Config),
+    /// Look at what runs need from this machine, and at what dead runs have left
+    Doctor(Doctor),
+    /// One actor process of a run (started by `train`)
+    Actor(ActorRole),
+    /// The learner process of a run (started by `train`)
+    Learner(Role),
+    /// The mentor-server process of a run (started by `train`)
+    MentorServer(Role),
+}
+
+/// Where a configuration comes from.
+#[derive(Debug, Args)]
+pub(crate) struct Source {
+    /// A preset, or a TOML file
+    #[arg(value_name = "PRESET|CONFIG.TOML")]
+    pub(crate) config: String,
+    /// Override one setting by its dotted key; may be repeated, the last one wins
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) sets: Vec<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Train {
+    #[command(flatten)]
+    pub(crate) source: Source,
+    /// The algorithm [run.algo]
+    #[arg(long)]
+    pub(crate) algo: Option<Algo>,
+    /// Seed of all random streams [run.seed]
+    #[arg(long)]
+    pub(crate) seed: Option<u64>,
+    /// End with this many episodes [run.episodes]
+    #[arg(long, value_name = "N")]
+    pub(crate) episodes: Option<u64>,
+    /// End with this many environment steps over all actors [run.env_steps]
+    #[arg(long, value_name = "N")]
+    pub(crate) env_steps: Option<u64>,
+    /// How the processes work together [run.mode]
+    #[arg(long)]
+    pub(crate) mode: Option<Mode>,
+    /// Number of actor processes [run.actors]
+    #[arg(long, value_name = "N")]
+    pub(crate) actors: Option<u32>,
+    /// The run's directory; runs/<config>-<algo>-seed<N> if not given
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Go on from the newest complete checkpoint in the directory
+    #[arg(long, conflicts_with = "overwrite")]
+    pub(crate) resume: bool,
+    /// Replace the directory if it holds a run
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+    /// Print the result only
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Algo {
+    /// Deep Q-network, no mentor
+    Dqn,
+    /// Implicit imitation, every mentor transition taken as feasible
+    Diiqn,
+    /// Implicit imitation with feasibility and bridges
+    HaDiiqn,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Mode {
+    /// Processes in step: the result depends on configuration and seed alone
+    Lockstep,
+    /// The same algorithm in one process, to compare with
+    Reference,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Eval {
+    /// A run's directory
+    #[arg(value_name = "RUN")]
+    pub(crate) run: PathBuf,
+    /// Greedy episodes
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub(crate) episodes: u32,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Demo {
+    /// Plan an optimal path of the mentor and write its states as CSV
+    Plan {
+        #[command(flatten)]
+        source: Source,
+        /// The file to write
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// Replace the file if it exists
+        #[arg(long)]
+        overwrite: bool,
+    },
+    /// Describe a demonstration and how it meets a configuration's thresholds
+    Inspect {
+        /// A CSV file of states, or a run's directory
+        #[arg(value_name = "FILE|RUN")]
+        demo: PathBuf,
+        /// The configuration whose metric and thresholds apply (a run's own, or `maze30`, if not given)
+        #[arg(long, value_name = "PRESET|CONFIG.TOML")]
+        config: Option<String>,
+        /// Override one setting of it; may be repeated
+        #[arg(long = "set", value_name = "KEY=VALUE")]
+        sets: Vec<String>,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Config {
+    /// Print every setting of a configuration
+    Show(Source),
+    /// Say whether a run could start with a configuration
+    Check(Source),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Doctor {
+    /// Remove what dead runs have left
+    #[arg(long)]
+    pub(crate) fix: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Role {
+    /// The run's directory, prepared by `trestle train`
+    #[arg(long, value_name = "DIR")]
+    pub(crate) run: PathBuf,
+    /// Leave when standard input is closed
+    #[arg(long)]
+    pub(crate) watch_stdin: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ActorRole {
+    #[command(flatten)]
+    pub(crate) role: Role,
+    /// Index of the actor, from 0
+    #[arg(long)]
+    pub(crate) index: u32,
+}

@@ -1,0 +1,56 @@
+//! `trestle doctor`
+
+use crate::cli::Doctor;
+use anyhow::{Result, ensure};
+use nix::sys::resource::{Resource, getrlimit};
+use nix::sys::statvfs::statvfs;
+use std::fs;
+use std::process::ExitCode;
+use trestle_proto::transport::iceoryx::Domain;
+
+/// Shared memory below which a run of the usual size may not fit, bytes.
+const LITTLE_SHARED_MEMORY: u64 = 64 << 20;
+/// Open files below which a run of many actors may not fit: each holds some ten descriptors a peer.
+const FEW_FILES: u64 = 1024;
+
+pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
+    let mut sound = true;
+    let mut line = |good: bool, text: String| {
+        sound &= good;
+        println!("{}  {text}", if good { "ok  " } else { "BAD " });
+    };
+    match statvfs("/dev/shm") {
+        Ok(stat) => {
+            let free = stat.blocks_available() as u64 * stat.fragment_size() as u64;
+            let total = stat.blocks() as u64 * stat.fragment_size() as u64;
+            line(
+                free >= LITTLE_SHARED_MEMORY,
+                format!("shared memory: {} of {} MiB free in /dev/shm", free >> 20, total >> 20),
+            );
+        }
+        Err(error) => line(false, format!("shared memory: /dev/shm cannot be used: {error}")),
+    }
+    match getrlimit(Resource::RLIMIT_NOFILE) {
+        Ok((soft, hard)) => {
+            line(soft >= FEW_FILES, format!("open files: {soft} allowed (at most {hard}; see `ulimit -n`)"));
+        }
+        Err(error) => line(false, format!("open files: {error}")),
+    }
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()));
+    let (living, dead): (Vec<Domain>, Vec<Domain>) = Domain::all()?.into_iter().partition(Domain::is_alive);
+    line(true, format!("runs in progress: {}", living.len()));
+    for domain in &dead {
+        let files = domain.shared_memory()?;
+        let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
+        let what = format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
+        if args.fix {
+            domain.remove()?;
+            line(true, format!("{what}: removed"));
+        } else {
+            line(false, format!("{what}; `trestle doctor --fix` removes it"));
+        }
+    }
+    ensure!(sound, "something needs attention");
+    Ok(ExitCode::SUCCESS)
+}

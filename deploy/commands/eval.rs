@@ -1,0 +1,47 @@
+//! `trestle eval`
+
+use crate::cli::Eval;
+use anyhow::{Context, Result};
+use std::process::ExitCode;
+use trestle_actor::env::maze::{cells, draw, map_of};
+use trestle_actor::worker::Worker;
+use trestle_learner::checkpoint;
+use trestle_proto::config::EnvKind;
+use trestle_proto::logging;
+use trestle_proto::rundir::RunDir;
+use trestle_proto::tick::{EVALUATE, Tick};
+
+pub(super) fn run(args: &Eval) -> Result<ExitCode> {
+    logging::init(0, "eval");
+    let dir = RunDir::new(&args.run);
+    let plan = dir.read_plan()?;
+    let (tick, path) = checkpoint::newest_complete(dir.root())?
+        .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
+    let (layout, _) = trestle_qnet::network_of(&plan)?;
+    let weights = checkpoint::load_model(&path, &layout)?;
+    let mut worker = Worker::new(&plan, 0)?;
+    // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
+    let tick =
+        Tick { run: plan.run, tick, evaluation: u64::MAX, kind: EVALUATE, amount: args.episodes, ..Tick::default() };
+    let evaluation = worker.evaluate(&weights, &tick)?;
+
+    let n = evaluation.episodes.len() as f64;
+    let mean = |of: &dyn Fn(&trestle_proto::reply::EvaluationEpisode) -> f64| {
+        evaluation.episodes.iter().map(of).sum::<f64>() / n
+    };
+    println!("{}, checkpoint {}", plan.spec.name, path.display());
+    println!("  episodes      {}", evaluation.episodes.len());
+    println!("  mean return   {:.3}", mean(&|e| e.total_reward));
+    println!("  mean steps    {:.1}", mean(&|e| e.length as f64));
+    println!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success))));
+    if let Some(threshold) = plan.threshold() {
+        println!("  threshold     {threshold:.3}");
+    }
+    match (plan.config.env.kind, evaluation.episodes.first()) {
+        (EnvKind::Maze, Some(episode)) if !episode.path.is_empty() => {
+            println!("{}", draw(&map_of(&plan.config.env)?, &cells(&episode.path), 'o'));
+        }
+        _ => {}
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,106 @@
+//! `trestle train`
+
+use crate::cli::{Algo, Mode, Train};
+use crate::reference;
+use crate::supervise::{self, Ended, prepare};
+use anyhow::Result;
+use prepare::Existing;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use trestle_learner::record::RunResult;
+use trestle_proto::config::{self, Config};
+use trestle_proto::logging;
+
+/// Exit status after Ctrl-C, as shells have it: 128 + SIGINT.
+const INTERRUPTED: u8 = 130;
+
+pub(super) fn run(args: &Train) -> Result<ExitCode> {
+    logging::init(0, "supervisor");
+    let config = config::load(&args.source.config, &overrides(args))?;
+    let root = args.out.clone().unwrap_or_else(|| default_out(&args.source.config, &config));
+    let existing = match (args.resume, args.overwrite) {
+        (true, _) => Existing::Resume,
+        (_, true) => Existing::Overwrite,
+        _ => Existing::Keep,
+    };
+    let mode = config.run.mode;
+    let resolved = prepare::resolve(config)?;
+    if let Some(warning) = resolved.warning() {
+        eprintln!("warning: {warning}");
+    }
+    let prepared = resolved.prepare(&root, existing)?;
+    let ended = match mode {
+        config::Mode::Lockstep => supervise::run(prepared, args.quiet)?,
+        config::Mode::Reference => reference::run(&prepared, args.quiet)?,
+    };
+    match ended {
+        Ended::Complete(result) => {
+            report(&result, &root, args.quiet);
+            Ok(ExitCode::SUCCESS)
+        }
+        Ended::Interrupted(result) => {
+            if let Some(result) = result {
+                report(&result, &root, args.quiet);
+                eprintln!("interrupted; go on with the same command and --resume");
+            } else {
+                eprintln!("interrupted before anything was saved");
+            }
+            Ok(ExitCode::from(INTERRUPTED))
+        }
+    }
+}
+
+/// The flags that stand for settings, after what `--set` says.
+fn overrides(args: &Train) -> Vec<String> {
+    let mut sets = args.source.sets.clone();
+    let algo = args.algo.map(|algo| match algo {
+        Algo::Dqn => "dqn",
+        Algo::Diiqn => "diiqn",
+        Algo::HaDiiqn => "ha-diiqn",
+    });
+    let mode = args.mode.map(|mode| match mode {
+        Mode::Lockstep => "lockstep",
+        Mode::Reference => "reference",
+    });
+    let text = |key: &str, value: Option<&str>| value.map(|v| format!("run.{key}={v:?}"));
+    let number = |key: &str, value: Option<u64>| value.map(|v| format!("run.{key}={v}"));
+    sets.extend(text("algo", algo));
+    sets.extend(text("mode", mode));
+    sets.extend(number("seed", args.seed));
+    sets.extend(number("episodes", args.episodes));
+    sets.extend(number("env_steps", args.env_steps));
+    sets.extend(number("actors", args.actors.map(u64::from)));
+    sets
+}
+
+/// `runs/<config>-<algo>-seed<N>`
+fn default_out(name: &str, config: &Config) -> PathBuf {
+    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
+    Path::new("runs").join(format!("{stem}-{}-seed{}", config.run.algo.name(), config.run.seed))
+}
+
+/// The result in a few lines on standard output, and what to type next.
+fn report(r: &RunResult, root: &Path, quiet: bool) {
+    let at = |episode: Option<u64>, steps: Option<u64>| match (episode, steps) {
+        (Some(episode), Some(steps)) => format!("episode {episode}, {steps} environment steps"),
+        _ => "not reached".into(),
+    };
+    let number = |value: Option<f64>| value.map_or("none".into(), |v| format!("{v:.2}"));
+    println!("{} on {}, seed {}: {}", r.algo, r.env, r.seed, root.display());
+    println!("  solved   {}", at(r.solved_episode, r.solved_env_steps));
+    println!("  optimal  {}", at(r.optimal_episode, r.optimal_env_steps));
+    println!(
+        "  greedy return  last {}, best {}, threshold {}",
+        number(r.final_return),
+        number(r.best_return),
+        number(r.threshold)
+    );
+    println!(
+        "  {} episodes, {} environment steps, {} gradient steps in {:.1} s",
+        r.episodes, r.env_steps, r.grad_steps, r.wall_s
+    );
+    println!("  weights_sha256  {}", r.weights_sha256);
+    if !quiet {
+        println!("next: trestle eval {}", root.display());
+    }
+}

@@ -1,0 +1,93 @@
+//! The single-process loop: the same algorithm without processes, services or messages, to read and to compare with.
+//!
+//! It calls the very functions that actors, mentor-server and learner call, in the order that lockstep fixes, so the
+//! distributed run must end with the same weights, bit for bit. What is missing here is everything that could go
+//! wrong between processes.
+
+use crate::supervise::Ended;
+use crate::supervise::display::Display;
+use crate::supervise::prepare::Prepared;
+use anyhow::{Context, Result, ensure};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use trestle_actor::worker::Worker;
+use trestle_learner::session::Session;
+use trestle_mentor_server::demo_file;
+use trestle_mentor_server::mentor::Mentor;
+use trestle_mentor_server::run::mentor_of;
+use trestle_proto::batch::Batch;
+use trestle_proto::observe::Observed;
+use trestle_proto::plan::RunPlan;
+
+/// Trains the prepared run in this process.
+pub(crate) fn run(prepared: &Prepared, quiet: bool) -> Result<Ended> {
+    let (plan, dir) = (prepared.plan(), prepared.dir());
+    ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep");
+    let stop = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone()).context("cannot handle Ctrl-C")?;
+
+    let mut workers = (0..plan.config.run.actors)
+        .map(|index| Worker::new(plan, index))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut mentor = mentor(prepared)?;
+    let display = Display::new(plan, quiet);
+    let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
+    let mut session = Session::new(plan, dir, transitions, |progress| display.update(progress))?;
+    session.start();
+    prepared.commit()?;
+
+    let lag = plan.config.run.lag == 1;
+    let mut batches = vec![Batch::default(); workers.len()];
+    let mut observed = Observed::default();
+    // The weights that the actors act with: the newest, or with a lag those of one tick earlier.
+    let mut acting = session.agent().weights().to_vec();
+    let mut tick = 0;
+    while !session.done() && !stop.load(Ordering::Relaxed) {
+        tick += 1;
+        let collect = session.collect(tick, session.tick());
+        for (worker, batch) in workers.iter_mut().zip(&mut batches) {
+            worker.collect(&acting, &collect, batch)?;
+        }
+        if lag {
+            acting.copy_from_slice(session.agent().weights());
+        }
+        for batch in &batches {
+            let observed = match &mut mentor {
+                Some(mentor) => {
+                    let first_index = session.agent().counters().env_steps;
+                    mentor.observe(first_index, batch.header.actor, batch, &mut observed)?;
+                    Some(&observed)
+                }
+                None => None,
+            };
+            session.ingest(batch, observed)?;
+        }
+        session.train(tick)?;
+        if !lag {
+            acting.copy_from_slice(session.agent().weights());
+        }
+        if session.done() {
+            session.request_final_evaluation();
+        }
+        if let Some(evaluate) = session.evaluate() {
+            let evaluation = workers[0].evaluate(session.agent().weights(), &evaluate)?;
+            session.evaluated(&evaluation)?;
+        }
+    }
+    let snapshots = workers.iter().map(Worker::snapshot).collect::<Result<Vec<_>, _>>()?;
+    let interrupted = !session.done();
+    session.checkpoint(lag.then_some(&acting), &snapshots)?;
+    let result = session.finish(interrupted)?;
+    display.finish();
+    Ok(if interrupted { Ended::Interrupted(Some(result)) } else { Ended::Complete(result) })
+}
+
+/// The mentor of the run, if its algorithm has one, from the demonstration in the run's directory.
+fn mentor(prepared: &Prepared) -> Result<Option<Mentor>> {
+    let plan: &RunPlan = prepared.plan();
+    if plan.mentor_len == 0 {
+        return Ok(None);
+    }
+    let demonstration = demo_file::read(&prepared.dir().demonstration())?;
+    Ok(Some(mentor_of(plan, &demonstration)?))
+}

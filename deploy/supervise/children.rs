@@ -1,0 +1,151 @@
+//! The processes of a run: this program again, with another subcommand.
+//!
+//! A child's standard error goes to its log. Its standard input is a pipe that only the supervisor holds: when the
+//! supervisor is gone, however it went, the child reads its end and leaves. Children have process groups of their
+//! own, so that Ctrl-C reaches the supervisor alone.
+
+use super::Event;
+use super::prepare::Prepared;
+use anyhow::{Context, Result};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::fmt;
+use std::fs::{self, OpenOptions};
+use std::process::Stdio;
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{ChildStdin, ChildStdout, Command};
+use tokio::sync::mpsc;
+use trestle_learner::record::Progress;
+use trestle_proto::rundir::RunDir;
+
+/// Lines of a dead child's log that the user is shown.
+const TAIL_LINES: usize = 12;
+
+/// Which process of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    Learner,
+    MentorServer,
+    Actor(u32),
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Learner => write!(f, "learner"),
+            Self::MentorServer => write!(f, "mentor-server"),
+            Self::Actor(index) => write!(f, "actor-{index}"),
+        }
+    }
+}
+
+/// A child that has been started.
+pub(super) struct Child {
+    pub(super) role: Role,
+    pub(super) running: bool,
+    pid: Pid,
+    /// Closing it tells the child that its supervisor is gone.
+    _stdin: Option<ChildStdin>,
+}
+
+impl Child {
+    /// Asks the process to finish what it is doing and leave.
+    pub(super) fn terminate(&self) {
+        self.signal(Signal::SIGTERM);
+    }
+
+    /// Ends the process.
+    pub(super) fn kill(&self) {
+        self.signal(Signal::SIGKILL);
+    }
+
+    fn signal(&self, signal: Signal) {
+        // The process is ours and not yet waited for while it is `running`, so its id cannot be another's.
+        if self.running
+            && let Err(error) = kill(self.pid, signal)
+        {
+            tracing::warn!("cannot send {signal} to {}: {error}", self.role);
+        }
+    }
+}
+
+/// Starts every process of the run; their ends, and the learner's progress, come through `events`.
+pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Event>) -> Result<Vec<Child>> {
+    let run = &prepared.plan().config.run;
+    let mut roles = vec![Role::Learner];
+    if run.algo.has_mentor() {
+        roles.push(Role::MentorServer);
+    }
+    roles.extend((0..run.actors).map(Role::Actor));
+    let mut children = Vec::new();
+    for role in roles {
+        match start(prepared.dir(), role, events) {
+            Ok(child) => children.push(child),
+            Err(error) => {
+                children.iter().for_each(Child::kill);
+                return Err(error);
+            }
+        }
+    }
+    Ok(children)
+}
+
+fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child> {
+    let program = std::env::current_exe().context("cannot find the program itself")?;
+    let path = dir.log(&role.to_string());
+    let log = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .with_context(|| format!("cannot open {}", path.display()))?;
+    let mut command = Command::new(program);
+    match role {
+        Role::Learner => command.arg("learner"),
+        Role::MentorServer => command.arg("mentor-server"),
+        Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
+    };
+    command.arg("--run").arg(dir.root()).arg("--watch-stdin");
+    // candle asks for the number of threads at every product, and takes all cores if it is not told; a run's
+    // processes have one working thread each.
+    command.env("RAYON_NUM_THREADS", "1");
+    command.stdin(Stdio::piped()).stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
+    let learner = role == Role::Learner;
+    command.stdout(if learner { Stdio::piped() } else { Stdio::null() });
+    let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
+    let pid = process.id().context("a process that has just been started has no id")?;
+    let (stdin, stdout) = (process.stdin.take(), process.stdout.take());
+    let events = events.clone();
+    tokio::spawn(async move {
+        if let Some(stdout) = stdout {
+            forward(stdout, &events).await;
+        }
+        let status = process.wait().await;
+        // The supervisor that would listen is itself on its way out.
+        let _ = events.send(Event::Exited(role, status)).await;
+    });
+    Ok(Child { role, running: true, pid: Pid::from_raw(pid.cast_signed()), _stdin: stdin })
+}
+
+/// Passes the learner's progress on until it closes its standard output.
+async fn forward(stdout: ChildStdout, events: &mpsc::Sender<Event>) {
+    let mut lines = BufReader::new(stdout).lines();
+    while let Ok(Some(line)) = lines.next_line().await {
+        match serde_json::from_str::<Progress>(&line) {
+            Ok(progress) => _ = events.send(Event::Progress(progress)).await,
+            Err(error) => tracing::warn!("the learner printed a line that is no progress ({error}): {line}"),
+        }
+    }
+}
+
+/// The last lines of a process's log.
+pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
+    let path = dir.log(&role.to_string());
+    match fs::read(&path) {
+        Ok(bytes) => {
+            let text = String::from_utf8_lossy(&bytes);
+            let lines: Vec<&str> = text.lines().collect();
+            lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
+        }
+        Err(error) => format!("(cannot read {}: {error})", path.display()),
+    }
+}

@@ -1,0 +1,103 @@
+//! What the user sees while a run trains: a progress bar on a terminal, plain lines elsewhere.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::cell::Cell;
+use std::io::{IsTerminal, stderr};
+use std::time::{Duration, Instant};
+use trestle_learner::record::Progress;
+use trestle_proto::plan::RunPlan;
+
+/// Time between two plain lines.
+const LINES_EVERY: Duration = Duration::from_secs(5);
+
+pub(crate) struct Display {
+    how: How,
+    episodes: Option<u64>,
+    env_steps: Option<u64>,
+}
+
+enum How {
+    Quiet,
+    Lines { last: Cell<Option<Instant>> },
+    Bar(ProgressBar),
+}
+
+impl Display {
+    pub(crate) fn new(plan: &RunPlan, quiet: bool) -> Self {
+        let run = &plan.config.run;
+        let how = if quiet {
+            How::Quiet
+        } else if stderr().is_terminal() {
+            let length = run.episodes.or(run.env_steps).unwrap_or(0);
+            let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+            // The template is a constant: it parses, or the bar keeps its default look.
+            if let Ok(style) = ProgressStyle::with_template("{bar:24} {percent:>3}%  {msg}") {
+                bar.set_style(style);
+            }
+            How::Bar(bar)
+        } else {
+            How::Lines { last: Cell::new(None) }
+        };
+        Self { how, episodes: run.episodes, env_steps: run.env_steps }
+    }
+
+    /// A sentence that must be seen.
+    pub(crate) fn say(&self, text: &str) {
+        match &self.how {
+            How::Bar(bar) => bar.println(text),
+            How::Lines { .. } | How::Quiet => eprintln!("{text}"),
+        }
+    }
+
+    pub(crate) fn update(&self, progress: &Progress) {
+        match &self.how {
+            How::Quiet => {}
+            How::Lines { last } => {
+                let due = last.get().is_none_or(|at| at.elapsed() >= LINES_EVERY);
+                if due {
+                    last.set(Some(Instant::now()));
+                    eprintln!("{}", self.describe(progress));
+                }
+            }
+            How::Bar(bar) => {
+                bar.set_position(if self.episodes.is_some() { progress.episodes } else { progress.env_steps });
+                bar.set_message(self.describe(progress));
+            }
+        }
+    }
+
+    pub(crate) fn finish(&self) {
+        if let How::Bar(bar) = &self.how {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn describe(&self, p: &Progress) -> String {
+        let of = |limit: Option<u64>| limit.map_or(String::new(), |limit| format!("/{limit}"));
+        let mut text = format!(
+            "episode {}{}  steps {}{}  {:.0} steps/s",
+            p.episodes,
+            of(self.episodes),
+            p.env_steps,
+            of(self.env_steps),
+            p.fps
+        );
+        let number = |name: &str, value: Option<f64>| value.map_or(String::new(), |v| format!("  {name} {v:.2}"));
+        text += &number("return", p.ep_rew_mean);
+        text += &number("greedy", p.eval_return);
+        let share = |name: &str, value: Option<f64>| {
+            value.map_or(String::new(), |v| format!("  {name} {:.0}%", 100.0 * v))
+        };
+        text += &share("feasible", p.feasible_frac);
+        text += &share("bridged", p.bridged_frac);
+        if p.optimal {
+            text += "  optimal";
+        } else if p.solved {
+            text += "  solved";
+        }
+        if let Some(left) = p.seconds_left {
+            text += &format!("  {left:.0} s left");
+        }
+        text
+    }
+}

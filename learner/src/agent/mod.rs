@@ -1,0 +1,248 @@
+//! The agent: all that learns, and nothing that communicates.
+//!
+//! A loop, distributed or not, calls the same few methods:
+//!
+//! ```text
+//! agent = Agent::new(&plan, mentor_transitions)
+//! each tick, while !agent.done():
+//!     each actor's batch, in the order of the actors:
+//!         observed = what the mentor-server answers to the batch        (nothing for dqn)
+//!         ingested = agent.ingest(&batch, Some(&observed))              counts, stores, reports ended episodes
+//!     stats = agent.train()                                             all gradient steps that are due
+//!     the actors get agent.weights()
+//! ```
+//!
+//! The agent's state is a function of the plan and of what was ingested, in this order.
+
+mod error;
+mod ingest;
+mod state;
+mod stats;
+mod step;
+mod train;
+
+pub use error::AgentError;
+pub use ingest::{FinishedEpisode, Ingested};
+pub use state::{AgentState, Parts};
+pub use stats::{MentorSummary, TrainStats};
+
+use crate::losses::{Confidence, MentorRule};
+use crate::record::Counters;
+use crate::replay::Replay;
+use sha2::{Digest, Sha256};
+use step::Step;
+use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::config::{Learner, LossKind, SelectionKind};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, network_of};
+
+/// All that learns. See the module for how it is used.
+#[derive(Debug)]
+pub struct Agent {
+    settings: Settings,
+    encoding: Encoding,
+    network: QNetwork,
+    adam: Adam,
+    replay: Replay,
+    /// None for `dqn`.
+    mentor: Option<MentorSide>,
+    /// Draws from the replay.
+    rng: Stream,
+    counters: Counters,
+    /// Environment steps up to which gradient steps have been taken.
+    trained_to: u64,
+    /// The unfinished episode of each actor.
+    running: Vec<Running>,
+    /// Whether transitions have been dropped because the run had reached its limits.
+    cut_short: bool,
+    step: Step,
+    /// A copy of the online parameters, as of the last [`Agent::train`]: what actors get.
+    weights: Vec<f32>,
+}
+
+/// What the agent takes from the plan.
+#[derive(Clone, Debug)]
+struct Settings {
+    learner: Learner,
+    adam: AdamConfig,
+    loss: Loss,
+    gamma: f32,
+    tau: f32,
+    n_actions: usize,
+    /// The run ends with this many finished episodes or environment steps.
+    episodes: Option<u64>,
+    env_steps: Option<u64>,
+    rule: MentorRule,
+    selection: Selection,
+}
+
+/// How a sample's loss is chosen, with the settings of the choice.
+#[derive(Clone, Copy, Debug)]
+enum Selection {
+    MinDistance,
+    Confidence(Confidence),
+}
+
+/// What the agent knows of the mentor.
+#[derive(Debug)]
+struct MentorSide {
+    transitions: MentorTransitions,
+    /// Mirror of the mentor-server's table.
+    annotations: AnnotationTable,
+    /// For each mentor transition the samples that have been trained with a mentor's loss of it: c of the
+    /// confidence. A transition stands for its state s_m.
+    trained: Vec<u32>,
+}
+
+/// An episode under way.
+#[derive(Clone, Copy, Debug, Default)]
+struct Running {
+    total_reward: f64,
+    length: u64,
+}
+
+impl Agent {
+    /// A new agent with the initial weights of the plan's seed. `mentor` is the demonstration, `plan.mentor_len`
+    /// transitions of it, exactly where the algorithm learns from one.
+    ///
+    /// # Errors
+    /// A setting that its user refuses, a demonstration that is not the plan's, or memory that cannot be had.
+    pub fn new(plan: &RunPlan, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
+        let settings = Settings::new(plan)?;
+        let (layout, encoding) = network_of(plan)?;
+        let (obs_dim, n_actions) = (plan.spec.obs_dim(), plan.spec.n_actions());
+        let mentor = check_mentor(plan, mentor)?.map(|transitions| MentorSide {
+            annotations: AnnotationTable::new(transitions.len(), obs_dim, n_actions),
+            trained: vec![0; transitions.len()],
+            transitions,
+        });
+        let seed = plan.config.run.seed;
+        let weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
+        Ok(Self {
+            step: Step::new(&layout, settings.learner.batch),
+            adam: Adam::new(layout.n_params()),
+            replay: Replay::new(settings.learner.replay, obs_dim)?,
+            network: QNetwork::new(layout, &weights)?,
+            rng: stream(seed, Purpose::Replay, 0),
+            counters: Counters::default(),
+            trained_to: 0,
+            running: vec![Running::default(); plan.config.run.actors as usize],
+            cut_short: false,
+            settings,
+            encoding,
+            mentor,
+            weights,
+        })
+    }
+
+    /// Episodes, environment steps and gradient steps so far.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Whether the run has reached its number of episodes or of environment steps.
+    pub fn done(&self) -> bool {
+        let reached = |limit: Option<u64>, count| limit.is_some_and(|limit| count >= limit);
+        reached(self.settings.episodes, self.counters.episodes)
+            || reached(self.settings.env_steps, self.counters.env_steps)
+    }
+
+    /// Whether transitions have been dropped because the run had reached its limits: it cannot go on then.
+    pub fn cut_short(&self) -> bool {
+        self.cut_short
+    }
+
+    /// The online parameters after the last [`Agent::train`] (the initial ones before the first), flat in the order
+    /// of the layout.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights
+    }
+
+    /// SHA-256 of [`Agent::weights`] as little-endian bytes, in hexadecimal: equal for runs that learnt the same.
+    pub fn weights_sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        for weight in &self.weights {
+            hash.update(weight.to_le_bytes());
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The network: layout, online and target parameters.
+    pub fn network(&self) -> &QNetwork {
+        &self.network
+    }
+
+    /// The replay, from which a mentor-server's history can be rebuilt.
+    pub fn replay(&self) -> &Replay {
+        &self.replay
+    }
+
+    /// The mirror of the mentor-server's annotations; none for `dqn`.
+    pub fn annotations(&self) -> Option<&AnnotationTable> {
+        self.mentor.as_ref().map(|mentor| &mentor.annotations)
+    }
+
+    /// What the annotations amount to, under this run's rule of feasibility; none for `dqn`. Looks at every
+    /// mentor transition.
+    pub fn mentor_summary(&self) -> Option<MentorSummary> {
+        let mentor = self.mentor.as_ref()?;
+        Some(MentorSummary::of(&self.settings.rule, &mentor.annotations, &mentor.transitions))
+    }
+}
+
+impl Settings {
+    fn new(plan: &RunPlan) -> Result<Self, AgentError> {
+        let (run, learner, mentor) = (&plan.config.run, &plan.config.learner, &plan.config.mentor);
+        let adam = AdamConfig {
+            lr: learner.lr,
+            beta1: learner.adam_beta1,
+            beta2: learner.adam_beta2,
+            eps: learner.adam_eps,
+        };
+        adam.validate()?;
+        let loss = match learner.loss {
+            LossKind::Huber => Loss::Huber { delta: learner.huber_delta as f32 },
+            LossKind::Squared => Loss::Squared,
+        };
+        loss.validate()?;
+        Ok(Self {
+            learner: learner.clone(),
+            adam,
+            loss,
+            gamma: learner.gamma as f32,
+            tau: learner.tau as f32,
+            n_actions: plan.spec.n_actions(),
+            episodes: run.episodes,
+            env_steps: run.env_steps,
+            rule: MentorRule::new(run.algo, mentor),
+            selection: match mentor.selection {
+                SelectionKind::MinDistance => Selection::MinDistance,
+                SelectionKind::Confidence => Selection::Confidence(Confidence::new(mentor)),
+            },
+        })
+    }
+}
+
+/// Refuses a demonstration that is not the plan's.
+fn check_mentor(
+    plan: &RunPlan,
+    mentor: Option<MentorTransitions>,
+) -> Result<Option<MentorTransitions>, AgentError> {
+    let algo = plan.config.run.algo;
+    let refuse = |what, found, accepted| Err(AgentError::Mentor { algo: algo.name(), what, found, accepted });
+    let found = mentor.as_ref().map_or(0, MentorTransitions::len);
+    // The smallest demonstration has one transition.
+    let accepted = if algo.has_mentor() { plan.mentor_len.max(1) } else { 0 };
+    match mentor {
+        _ if found != accepted => refuse("the number of mentor transitions", found, accepted),
+        Some(mentor) if mentor.obs_dim() != plan.spec.obs_dim() => {
+            refuse("the number of features of a mentor state", mentor.obs_dim(), plan.spec.obs_dim())
+        }
+        mentor => Ok(mentor.filter(|_| algo.has_mentor())),
+    }
+}
+
+#[cfg(test)]
+mod tests;

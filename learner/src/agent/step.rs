@@ -1,0 +1,380 @@
+//! One gradient step as a sequence of plain stages over memory that is allocated once.
+//!
+//! A sample is one row of the network's input (s_o) and, where its mentor transition has something to say, a
+//! second one behind it (s_m). Which loss a sample trains with is known after one forward pass of these rows; only
+//! then are the next states collected, so that a loss that is not used costs no target. A *term* is one Q-value
+//! with its weight, reward and next state: one for each loss that is used.
+
+use super::{AgentError, MentorSide, Selection, Settings, TrainStats};
+use crate::losses::{Distances, MentorKind, MentorRule, mentor_term, min_distance, next_value, target_value};
+use crate::replay::Replay;
+use rand::RngCore;
+use trestle_proto::config::Backend;
+use trestle_qnet::autodiff::{Samples, loss_and_gradient};
+use trestle_qnet::{Encoding, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train};
+
+/// A replay entry and where its rows are.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    slot: usize,
+    /// Row of s_o.
+    row: usize,
+    action: u32,
+    candidate: Option<Candidate>,
+}
+
+/// A sample's mentor transition that has something to say.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    j: usize,
+    /// Row of s_m.
+    row: usize,
+    kind: MentorKind,
+    action: u32,
+    e_kl: f32,
+}
+
+/// One Q-value that is regressed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Term {
+    /// Row of the state.
+    pub(super) row: usize,
+    /// The action whose value it is.
+    pub(super) action: u32,
+    /// Weight of its loss, above 0 to 1.
+    pub(super) weight: f32,
+    reward: f32,
+    /// Row of the next state; none where that is terminal.
+    next: Option<usize>,
+    /// r + γ V(s').
+    pub(super) target: f32,
+}
+
+/// The memory of a gradient step. Stages are to be called in the order of the methods.
+#[derive(Debug)]
+pub(super) struct Step {
+    pub(super) workspace: Workspace,
+    /// The gradient, once [`Step::differentiate`] has run.
+    pub(super) grad: Vec<f32>,
+    /// What is regressed, once [`Step::choose`] has run.
+    pub(super) terms: Vec<Term>,
+    /// Most samples.
+    batch: usize,
+    n_actions: usize,
+    slots: Vec<u32>,
+    samples: Vec<Sample>,
+    x: Rows,
+    q: Vec<f32>,
+    next: Rows,
+    q_target: Vec<f32>,
+    q_online: Vec<f32>,
+    row_grads: Vec<RowGrad>,
+}
+
+/// Rows of network input.
+#[derive(Debug)]
+pub(super) struct Rows {
+    width: usize,
+    len: usize,
+    x: Vec<f32>,
+}
+
+impl Rows {
+    fn new(width: usize, most: usize) -> Self {
+        Self { width, len: 0, x: vec![0.0; width * most] }
+    }
+
+    /// Encodes `obs` into a new row and returns its number.
+    fn push(&mut self, encoding: &Encoding, obs: &[f32]) -> usize {
+        let row = self.len;
+        encoding.encode(obs, &mut self.x[row * self.width..][..self.width]);
+        self.len += 1;
+        row
+    }
+
+    /// Row `row`.
+    pub(super) fn get(&self, row: usize) -> &[f32] {
+        &self.x[row * self.width..][..self.width]
+    }
+
+    fn all(&self) -> &[f32] {
+        &self.x[..self.len * self.width]
+    }
+}
+
+/// The values of row `row`, one an action.
+fn values(q: &[f32], row: usize, n_actions: usize) -> &[f32] {
+    &q[row * n_actions..][..n_actions]
+}
+
+impl Step {
+    /// Memory for batches of up to `batch` samples.
+    pub(super) fn new(layout: &Layout, batch: usize) -> Self {
+        let rows = 2 * batch;
+        let values = || vec![0.0; rows * layout.output()];
+        Self {
+            workspace: Workspace::new(layout, rows),
+            grad: vec![0.0; layout.n_params()],
+            terms: Vec::with_capacity(rows),
+            batch,
+            n_actions: layout.output(),
+            slots: Vec::with_capacity(batch),
+            samples: Vec::with_capacity(batch),
+            x: Rows::new(layout.input(), rows),
+            q: values(),
+            next: Rows::new(layout.input(), rows),
+            q_target: values(),
+            q_online: values(),
+            row_grads: Vec::with_capacity(rows),
+        }
+    }
+
+    /// Forgets all samples.
+    pub(super) fn clear(&mut self) {
+        self.samples.clear();
+        self.x.len = 0;
+    }
+
+    /// Whether no further sample has room.
+    pub(super) fn is_full(&self) -> bool {
+        self.samples.len() == self.batch
+    }
+
+    /// The drawn slots.
+    #[cfg(test)]
+    pub(super) fn slots(&self) -> &[u32] {
+        &self.slots
+    }
+
+    /// Draws `n` slots.
+    pub(super) fn draw(&mut self, replay: &Replay, rng: &mut impl RngCore, n: usize) {
+        replay.sample(rng, n, &mut self.slots);
+    }
+
+    /// Makes the drawn slots the samples.
+    pub(super) fn collect(
+        &mut self,
+        replay: &Replay,
+        mentor: Option<&MentorSide>,
+        rule: &MentorRule,
+        encoding: &Encoding,
+    ) {
+        self.clear();
+        for at in 0..self.slots.len() {
+            self.add(self.slots[at] as usize, replay, mentor, rule, encoding);
+        }
+    }
+
+    /// Makes the entry in `slot` a sample. There must be room.
+    pub(super) fn add(
+        &mut self,
+        slot: usize,
+        replay: &Replay,
+        mentor: Option<&MentorSide>,
+        rule: &MentorRule,
+        encoding: &Encoding,
+    ) {
+        let entry = replay.get(slot);
+        let row = self.x.push(encoding, entry.transition.obs);
+        let candidate = mentor.zip(entry.mentor).and_then(|(mentor, j)| {
+            let r_o = entry.transition.reward;
+            let term = mentor_term(rule, j, &mentor.annotations, &mentor.transitions, r_o)?;
+            let row = self.x.push(encoding, mentor.transitions.state(j));
+            Some(Candidate { j, row, kind: term.kind, action: term.action, e_kl: term.e_kl })
+        });
+        self.samples.push(Sample { slot, row, action: entry.transition.action, candidate });
+    }
+
+    /// Q-values of all rows under the online network, kept for the gradient.
+    pub(super) fn forward_values(&mut self, network: &QNetwork) -> Result<(), AgentError> {
+        let rows = self.x.len;
+        if rows > 0 {
+            let q = &mut self.q[..rows * network.layout().output()];
+            network.with_params(|online, _| {
+                forward_train(network.layout(), online, self.x.all(), rows, &mut self.workspace, q);
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Decides which losses each sample trains with, and collects the terms and their next states.
+    pub(super) fn choose(
+        &mut self,
+        replay: &Replay,
+        mentor: Option<&MentorSide>,
+        settings: &Settings,
+        encoding: &Encoding,
+        stats: &mut TrainStats,
+    ) {
+        self.terms.clear();
+        self.next.len = 0;
+        stats.samples += self.samples.len() as u64;
+        for sample in &self.samples {
+            let entry = replay.get(sample.slot);
+            stats.with_mentor += u64::from(entry.mentor.is_some());
+            match sample.candidate.map(|candidate| candidate.kind) {
+                Some(MentorKind::Feasible) => stats.feasible += 1,
+                Some(MentorKind::Bridged) => stats.bridged += 1,
+                None => {}
+            }
+            let phi = self.mentor_weight(sample, replay, mentor, settings);
+            stats.mentor_weight_sum += f64::from(phi);
+            let own = &entry.transition;
+            if phi < 1.0 {
+                let next = (!own.terminated()).then(|| self.next.push(encoding, own.next_obs));
+                self.terms.push(Term {
+                    row: sample.row,
+                    action: sample.action,
+                    weight: 1.0 - phi,
+                    reward: own.reward,
+                    next,
+                    target: 0.0,
+                });
+            }
+            let (Some(mentor), Some(candidate)) = (mentor.filter(|_| phi > 0.0), sample.candidate) else {
+                continue;
+            };
+            let (annotations, transitions) = (&mentor.annotations, &mentor.transitions);
+            if let Some(term) = mentor_term(&settings.rule, candidate.j, annotations, transitions, own.reward)
+            {
+                let next = (!term.terminal).then(|| self.next.push(encoding, term.next_obs));
+                self.terms.push(Term {
+                    row: candidate.row,
+                    action: term.action,
+                    weight: phi,
+                    reward: term.reward,
+                    next,
+                    target: 0.0,
+                });
+            }
+        }
+    }
+
+    /// The weight of a sample's L_m; L_o has the rest.
+    fn mentor_weight(
+        &self,
+        sample: &Sample,
+        replay: &Replay,
+        mentor: Option<&MentorSide>,
+        settings: &Settings,
+    ) -> f32 {
+        let (Some(mentor), Some(candidate)) = (mentor, sample.candidate) else {
+            return 0.0;
+        };
+        let of_s_m = values(&self.q, candidate.row, settings.n_actions);
+        let q_m = of_s_m[candidate.action as usize];
+        match settings.selection {
+            Selection::MinDistance => {
+                let entry = replay.get(sample.slot);
+                let q_o = values(&self.q, sample.row, settings.n_actions)[sample.action as usize];
+                let distances = Distances { q_o, past_o: entry.q_past_o, q_m, past_m: entry.q_past_m };
+                f32::from(u8::from(min_distance(&distances)))
+            }
+            Selection::Confidence(confidence) => {
+                let trained = u64::from(mentor.trained[candidate.j]);
+                let q_m_of_a_o = of_s_m[sample.action as usize];
+                confidence.weight(candidate.kind, q_m, q_m_of_a_o, trained, candidate.e_kl)
+            }
+        }
+    }
+
+    /// Stores the present values of the samples as their past values. An entry that was drawn twice has been
+    /// compared with the same past value both times.
+    ///
+    /// Where the mentor's action of an entry has changed since (a better estimate, a bridge), the old past value is
+    /// of the old action: (5) does not say which is meant, and the newest one that was looked at is kept (our
+    /// choice).
+    pub(super) fn refresh_past(&self, replay: &mut Replay) {
+        let n_actions = self.n_actions;
+        for sample in &self.samples {
+            if replay.get(sample.slot).mentor.is_none() {
+                continue;
+            }
+            replay.set_q_past_o(sample.slot, values(&self.q, sample.row, n_actions)[sample.action as usize]);
+            if let Some(c) = sample.candidate {
+                replay.set_q_past_m(sample.slot, values(&self.q, c.row, n_actions)[c.action as usize]);
+            }
+        }
+    }
+
+    /// Counts the samples with a mentor's loss, by mentor transition.
+    pub(super) fn count_trained(&self, trained: &mut [u32]) {
+        for candidate in self.samples.iter().filter_map(|sample| sample.candidate) {
+            trained[candidate.j] = trained[candidate.j].saturating_add(1);
+        }
+    }
+
+    /// The targets of all terms.
+    pub(super) fn forward_targets(
+        &mut self,
+        network: &QNetwork,
+        settings: &Settings,
+    ) -> Result<(), AgentError> {
+        let (rows, layout) = (self.next.len, network.layout());
+        let n_actions = layout.output();
+        let double = settings.learner.double;
+        if rows > 0 {
+            let (x, ws) = (self.next.all(), &mut self.workspace);
+            let (q_target, q_online) = (&mut self.q_target, &mut self.q_online);
+            network.with_params(|online, target| {
+                forward(layout, target, x, rows, ws, &mut q_target[..rows * n_actions]);
+                if double {
+                    forward(layout, online, x, rows, ws, &mut q_online[..rows * n_actions]);
+                }
+            })?;
+        }
+        for term in &mut self.terms {
+            let next = term.next.map(|row| {
+                let online = double.then(|| values(&self.q_online, row, n_actions));
+                next_value(values(&self.q_target, row, n_actions), online)
+            });
+            term.target = target_value(term.reward, settings.gamma, next);
+        }
+        Ok(())
+    }
+
+    /// The gradient of the mean loss of the samples.
+    pub(super) fn differentiate(
+        &mut self,
+        network: &QNetwork,
+        settings: &Settings,
+        stats: &mut TrainStats,
+    ) -> Result<(), AgentError> {
+        let (layout, n_actions) = (network.layout(), settings.n_actions);
+        let scale = 1.0 / self.samples.len() as f32;
+        self.row_grads.clear();
+        let mut loss = 0.0;
+        for term in &self.terms {
+            let q = values(&self.q, term.row, n_actions)[term.action as usize];
+            loss += f64::from(term.weight) * f64::from(settings.loss.value(q, term.target));
+            stats.td_abs_sum += f64::from(term.weight) * f64::from((term.target - q).abs());
+            let dq = scale * term.weight * settings.loss.derivative(q, term.target);
+            self.row_grads.push(RowGrad { row: term.row as u32, action: term.action, dq });
+        }
+        stats.loss_sum += loss * f64::from(scale);
+        match settings.learner.backend {
+            Backend::Kernels => {
+                let (ws, grads, grad) = (&mut self.workspace, &self.row_grads, &mut self.grad);
+                network.with_params(|online, _| backward(layout, online, ws, grads, grad))?;
+            }
+            Backend::Candle => self.grad = self.autodiff(network, settings, scale)?,
+        }
+        Ok(())
+    }
+
+    /// The same gradient by candle's automatic differentiation.
+    pub(super) fn autodiff(
+        &self,
+        network: &QNetwork,
+        settings: &Settings,
+        scale: f32,
+    ) -> Result<Vec<f32>, AgentError> {
+        let x: Vec<f32> = self.terms.iter().flat_map(|term| self.x.get(term.row)).copied().collect();
+        let actions: Vec<u32> = self.terms.iter().map(|term| term.action).collect();
+        let targets: Vec<f32> = self.terms.iter().map(|term| term.target).collect();
+        let weights: Vec<f32> = self.terms.iter().map(|term| term.weight).collect();
+        let samples = Samples { x: &x, actions: &actions, targets: &targets, weights: &weights, scale };
+        let (_, gradient) = loss_and_gradient(network.layout(), network.online(), &samples, settings.loss)?;
+        Ok(gradient)
+    }
+}

@@ -1,0 +1,104 @@
+//! Files with a checksum that is computed while they are written or read, and the sync calls.
+
+use super::error::{CheckpointError, io};
+use super::manifest::FileEntry;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Write};
+use std::path::Path;
+
+/// Counts and checksums what passes through.
+#[derive(Debug)]
+pub(super) struct Checked<F> {
+    inner: F,
+    bytes: u64,
+    crc: u32,
+}
+
+impl<F> Checked<F> {
+    fn new(inner: F) -> Self {
+        Self { inner, bytes: 0, crc: 0 }
+    }
+
+    fn note(&mut self, passed: &[u8]) {
+        self.bytes += passed.len() as u64;
+        self.crc = crc32c::crc32c_append(self.crc, passed);
+    }
+}
+
+impl<F: Write> Write for Checked<F> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.inner.write(bytes)?;
+        self.note(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.inner.flush()
+    }
+}
+
+impl<F: Read> Read for Checked<F> {
+    fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.inner.read(into)?;
+        self.note(&into[..read]);
+        Ok(read)
+    }
+}
+
+/// Writes the new file `name` in `dir`, syncs it, and says what the MANIFEST needs to know of it.
+pub(super) fn write(
+    dir: &Path,
+    name: &str,
+    contents: impl FnOnce(&mut Checked<File>) -> std::io::Result<()>,
+) -> Result<FileEntry, CheckpointError> {
+    let path = dir.join(name);
+    let fault = io(&path, "write");
+    let file = OpenOptions::new().write(true).create_new(true).open(&path).map_err(&fault)?;
+    let mut file = Checked::new(file);
+    contents(&mut file).map_err(&fault)?;
+    file.inner.sync_all().map_err(&fault)?;
+    Ok(FileEntry { name: name.into(), bytes: file.bytes, crc32c: file.crc })
+}
+
+/// Makes sure that the entries of `dir` survive a power cut.
+pub(super) fn sync_dir(dir: &Path) -> Result<(), CheckpointError> {
+    File::open(dir).and_then(|dir| dir.sync_all()).map_err(io(dir, "sync"))
+}
+
+/// Opens `entry` of `dir`, lets `contents` read it, and checks size and checksum of the whole file. Where both the
+/// checksum and what `contents` says are faults, the checksum is reported: it is the cause.
+pub(super) fn read<R>(
+    dir: &Path,
+    entry: &FileEntry,
+    contents: impl FnOnce(&mut Checked<File>) -> Result<R, CheckpointError>,
+) -> Result<R, CheckpointError> {
+    let path = dir.join(&entry.name);
+    let fault = io(&path, "read");
+    let file = File::open(&path).map_err(&fault)?;
+    let found = file.metadata().map_err(&fault)?.len();
+    if found != entry.bytes {
+        return Err(CheckpointError::Size { path, found, expected: entry.bytes });
+    }
+    let mut file = Checked::new(file);
+    let result = contents(&mut file);
+    let mut rest = [0; 1 << 16];
+    while file.read(&mut rest).map_err(&fault)? > 0 {}
+    if file.crc != entry.crc32c {
+        return Err(CheckpointError::Checksum { path, found: file.crc, expected: entry.crc32c });
+    }
+    result
+}
+
+/// All bytes of `entry` of `dir`, checked.
+pub(super) fn read_all(dir: &Path, entry: &FileEntry) -> Result<Vec<u8>, CheckpointError> {
+    read(dir, entry, |file| {
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).map_err(io(&dir.join(&entry.name), "read"))?;
+        Ok(bytes)
+    })
+}
+
+/// Checks size and checksum of `entry` of `dir`.
+pub(super) fn verify(dir: &Path, entry: &FileEntry) -> Result<(), CheckpointError> {
+    read(dir, entry, |_| Ok(()))
+}

@@ -1,0 +1,127 @@
+//! MANIFEST and COMPLETE: what a checkpoint consists of, and that it is whole.
+
+use super::error::{CheckpointError, contents, io};
+use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST};
+use crate::record::Counters;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
+use trestle_proto::config::{Checkpoint, Eval, Mode};
+use trestle_proto::plan::RunPlan;
+
+/// Version of the layout of checkpoints: any change raises it.
+pub const FORMAT: u32 = 1;
+/// Largest MANIFEST or COMPLETE that is read, bytes.
+const MAX_BYTES: u64 = 1 << 16;
+
+/// One file of a checkpoint.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileEntry {
+    /// Its name in the checkpoint's directory.
+    pub name: String,
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// CRC-32C of its bytes.
+    pub crc32c: u32,
+}
+
+/// What a checkpoint consists of.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Version of the program that wrote it.
+    pub version: String,
+    /// The tick after which it was taken.
+    pub tick: u64,
+    /// [`fingerprint`] of the run's plan.
+    pub configuration: String,
+    /// The run's counters at the tick, for people.
+    pub counters: Counters,
+    /// Whether the run ended within the tick: then the policy is the final one, but the run can't go on from here.
+    pub cut_short: bool,
+    /// The files.
+    pub files: Vec<FileEntry>,
+}
+
+/// Identifies what a checkpoint may be continued with: SHA-256 of the configuration, the spaces and the length of
+/// the demonstration. Left out is what does not change how the agent learns: the limits of the run, evaluations,
+/// checkpoints, and whether the processes are one or several.
+pub fn fingerprint(plan: &RunPlan) -> String {
+    let mut config = plan.config.clone();
+    (config.run.episodes, config.run.env_steps, config.run.mode) = (None, None, Mode::Lockstep);
+    (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
+    let text = serde_json::json!([config, plan.spec, plan.mentor_len]).to_string();
+    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+impl Manifest {
+    /// The entry of file `name`, which [`read`] has made sure is there if it is one of every checkpoint's.
+    pub(super) fn entry(&self, name: &str) -> Option<&FileEntry> {
+        self.files.iter().find(|entry| entry.name == name)
+    }
+
+    /// As the bytes of a file.
+    pub(super) fn encode(&self) -> Result<Vec<u8>, serde_json::Error> {
+        let mut bytes = serde_json::to_vec_pretty(self)?;
+        bytes.push(b'\n');
+        Ok(bytes)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), CheckpointError> {
+        let refuse = |message: String| Err(contents(path)(message));
+        if self.format != FORMAT {
+            return refuse(format!("format {} of version {}; accepted: {FORMAT}", self.format, self.version));
+        }
+        for (at, entry) in self.files.iter().enumerate() {
+            let known = FILES.contains(&entry.name.as_str()) || entry.name == BEHAVIOUR;
+            if !known || self.files[..at].iter().any(|other| other.name == entry.name) {
+                return refuse(format!("file {:?} is unknown or named twice", entry.name));
+            }
+        }
+        match FILES.iter().find(|name| self.entry(name).is_none()) {
+            Some(name) => refuse(format!("file {name} is not named")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// What COMPLETE says of the MANIFEST with these bytes.
+pub(super) fn seal(manifest: &[u8]) -> String {
+    format!("{:08x}\n", crc32c::crc32c(manifest))
+}
+
+/// The MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE. The files themselves are not looked at.
+pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
+    let complete = dir.join(COMPLETE);
+    let sealed = match small(&complete) {
+        Err(CheckpointError::Io { source, path, .. }) if source.kind() == ErrorKind::NotFound => {
+            return Err(CheckpointError::Incomplete { path });
+        }
+        sealed => sealed?,
+    };
+    let path = dir.join(MANIFEST);
+    let bytes = small(&path)?;
+    let computed = seal(&bytes);
+    if computed.as_bytes() != sealed {
+        let sealed = sealed.escape_ascii();
+        let message = format!("says {sealed} of a MANIFEST that has CRC-32C {}", computed.trim());
+        return Err(contents(&complete)(message));
+    }
+    let manifest: Manifest = serde_json::from_slice(&bytes).map_err(contents(&path))?;
+    manifest.check(&path)?;
+    Ok(manifest)
+}
+
+/// The bytes of a file that cannot be large.
+fn small(path: &Path) -> Result<Vec<u8>, CheckpointError> {
+    let found = fs::metadata(path).map_err(io(path, "read"))?.len();
+    if found > MAX_BYTES {
+        return Err(CheckpointError::Size { path: path.into(), found, expected: MAX_BYTES });
+    }
+    fs::read(path).map_err(io(path, "read"))
+}

@@ -1,0 +1,89 @@
+//! Checkpoints: one consistent cut of a run at a tick, written so that a torn one is never mistaken for a whole one.
+//!
+//! ```text
+//! <run>/last                          -> checkpoints/<newest>
+//! <run>/checkpoints/000000001250/     the tick, 12 digits
+//!     model.safetensors               online parameters: layers.0.weight [in, out], layers.0.bias [out], ...
+//!     target.safetensors              target parameters, likewise
+//!     optimizer.safetensors           Adam: m.layers.0.weight, ..., v.layers.0.weight, ..., step [1]
+//!     behaviour.safetensors           only if the actors still act with older parameters (run.lag = 1)
+//!     replay.bin                      transitions, mentor indices, past values
+//!     annotations.bin                 a record for each mentor transition
+//!     agent.bin                       counters, random streams, running episodes, training counts
+//!     actors.bin                      what each actor gave of itself
+//!     run.bin                         what the loop remembers (evaluations, recorder)
+//!     MANIFEST                        JSON: format, version, tick, configuration, size and CRC-32C of each file
+//!     COMPLETE                        CRC-32C of MANIFEST; written last
+//! ```
+//!
+//! A checkpoint is written into a directory beside its final place. Every file and the directory are synced, the
+//! directory is renamed, and only then COMPLETE is written and synced. What a kill leaves behind at any point has
+//! no COMPLETE and is passed over, as is one whose files differ from its MANIFEST: [`newest_complete`] names the
+//! fault in the log and takes the next older one.
+//!
+//! Weight matrices are `[in, out]`, the transpose of PyTorch's `nn.Linear`.
+
+mod error;
+mod file;
+mod manifest;
+mod read;
+mod tensors;
+mod write;
+
+pub use error::CheckpointError;
+pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
+pub use read::{Loaded, load, load_actors, load_model, newest_complete, newest_resumable};
+pub use write::{Cut, write};
+
+use std::path::{Path, PathBuf};
+
+/// Directory of the checkpoints in a run directory.
+pub const CHECKPOINTS_DIR: &str = "checkpoints";
+/// Link in a run directory to its newest complete checkpoint.
+pub const LAST_LINK: &str = "last";
+
+const MANIFEST: &str = "MANIFEST";
+const COMPLETE: &str = "COMPLETE";
+const MODEL: &str = "model.safetensors";
+const TARGET: &str = "target.safetensors";
+const OPTIMIZER: &str = "optimizer.safetensors";
+const BEHAVIOUR: &str = "behaviour.safetensors";
+const REPLAY: &str = "replay.bin";
+const ANNOTATIONS: &str = "annotations.bin";
+const AGENT: &str = "agent.bin";
+const ACTORS: &str = "actors.bin";
+const RUN: &str = "run.bin";
+/// The files of every checkpoint beside MANIFEST and COMPLETE; BEHAVIOUR may come on top.
+const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
+/// Beginning of the name of a directory that is being written or removed.
+const SCRATCH: &str = ".scratch-";
+
+/// Where the checkpoint of `tick` is in the run directory `run_dir`.
+pub fn directory(run_dir: &Path, tick: u64) -> PathBuf {
+    run_dir.join(CHECKPOINTS_DIR).join(name_of(tick))
+}
+
+fn name_of(tick: u64) -> String {
+    format!("{tick:012}")
+}
+
+/// The ticks of which there is a directory in `run_dir`, complete or not, the newest first.
+fn ticks(run_dir: &Path) -> Result<Vec<u64>, CheckpointError> {
+    let dir = run_dir.join(CHECKPOINTS_DIR);
+    let entries = match std::fs::read_dir(&dir) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(error::io(&dir, "list"))?,
+    };
+    let mut ticks = Vec::new();
+    for entry in entries {
+        let name = entry.map_err(error::io(&dir, "list"))?.file_name();
+        let tick = name.to_str().and_then(|name| name.parse().ok());
+        // Nothing but what this module would write: no "+12", no missing zeros.
+        ticks.extend(tick.filter(|&tick| name.to_str() == Some(&name_of(tick))));
+    }
+    ticks.sort_unstable_by(|a, b| b.cmp(a));
+    Ok(ticks)
+}
+
+#[cfg(test)]
+mod tests;

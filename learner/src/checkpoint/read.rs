@@ -1,0 +1,173 @@
+//! Finding and reading checkpoints.
+
+use super::error::{CheckpointError, contents};
+use super::manifest::{self, FileEntry, Manifest, fingerprint};
+use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, RUN_KIND};
+use super::{ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, TARGET};
+use super::{directory, file, tensors, ticks};
+use crate::agent::{Agent, AgentState, Parts};
+use crate::replay::Bounds;
+use serde::de::DeserializeOwned;
+use std::path::{Path, PathBuf};
+use trestle_proto::codec::{self, Kind};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::plan::RunPlan;
+use trestle_qnet::Layout;
+
+/// A run as it was at a checkpoint.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The tick of the checkpoint.
+    pub tick: u64,
+    /// The agent.
+    pub agent: Agent,
+    /// The parameters that actors act with next, where they are not the agent's.
+    pub behaviour: Option<Vec<f32>>,
+    /// What each actor gave of itself.
+    pub actors: Vec<Vec<u8>>,
+    /// What the loop had to remember.
+    pub run: Vec<u8>,
+}
+
+/// Tick and directory of the newest checkpoint in `run_dir` that is complete and whole: its MANIFEST is vouched for
+/// by COMPLETE, and size and checksum of every file are as the MANIFEST says. A newer one that is not is passed
+/// over with a warning that names its fault. None if there is no checkpoint.
+///
+/// # Errors
+/// The directory cannot be listed.
+pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+    newest(run_dir, |_| true)
+}
+
+/// As [`newest_complete`], of the checkpoints that a run can go on from: not the last one of a run that ended within
+/// a tick.
+pub fn newest_resumable(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+    newest(run_dir, |manifest| !manifest.cut_short)
+}
+
+fn newest(
+    run_dir: &Path,
+    wanted: impl Fn(&Manifest) -> bool,
+) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+    for tick in ticks(run_dir)? {
+        let dir = directory(run_dir, tick);
+        match verify(&dir) {
+            Ok(manifest) if manifest.tick == tick && wanted(&manifest) => return Ok(Some((tick, dir))),
+            Ok(manifest) if manifest.tick == tick => {}
+            Ok(manifest) => {
+                tracing::warn!(
+                    "checkpoint {} is passed over: it is of tick {}",
+                    dir.display(),
+                    manifest.tick
+                );
+            }
+            Err(fault) => tracing::warn!("checkpoint {} is passed over: {fault}", dir.display()),
+        }
+    }
+    Ok(None)
+}
+
+/// The MANIFEST of the checkpoint in `dir`, if all is whole.
+pub(super) fn verify(dir: &Path) -> Result<Manifest, CheckpointError> {
+    let manifest = manifest::read(dir)?;
+    manifest.files.iter().try_for_each(|entry| file::verify(dir, entry))?;
+    Ok(manifest)
+}
+
+/// Continues from the checkpoint in `dir`: the agent that goes on from there learns bit for bit as the one that was
+/// saved. `plan` may differ from the saved run's in what [`fingerprint`] leaves out; `mentor` is as in
+/// [`Agent::new`].
+///
+/// # Errors
+/// A checkpoint that is incomplete, damaged, of another configuration, or of another demonstration.
+pub fn load(
+    dir: &Path,
+    plan: &RunPlan,
+    mentor: Option<MentorTransitions>,
+) -> Result<Loaded, CheckpointError> {
+    let manifest = manifest::read(dir)?;
+    let expected = fingerprint(plan);
+    if manifest.configuration != expected {
+        let (path, found) = (dir.join(MANIFEST), manifest.configuration);
+        return Err(CheckpointError::Configuration { path, found, expected });
+    }
+    if manifest.version != env!("CARGO_PKG_VERSION") {
+        let (theirs, ours) = (&manifest.version, env!("CARGO_PKG_VERSION"));
+        tracing::warn!("checkpoint {} was written by version {theirs}; this is {ours}", dir.display());
+    }
+    let agent_fault = |source| CheckpointError::Agent { path: dir.into(), source: Box::new(source) };
+    let mut agent = Agent::new(plan, mentor).map_err(agent_fault)?;
+    let bounds = Bounds {
+        n_actions: plan.spec.n_actions(),
+        mentor_len: plan.mentor_len,
+        actors: plan.config.run.actors,
+    };
+    file::read(dir, entry(dir, &manifest, REPLAY)?, |file| {
+        agent.replay_mut().read(file, &bounds).map_err(contents(&dir.join(REPLAY)))
+    })?;
+    let layout = agent.network().layout();
+    let optimizer = file::read_all(dir, entry(dir, &manifest, OPTIMIZER)?)?;
+    let parts = Parts {
+        state: frame::<AgentState>(dir, &manifest, AGENT, AGENT_KIND)?,
+        online: params(dir, &manifest, MODEL, layout)?,
+        target: params(dir, &manifest, TARGET, layout)?,
+        adam: tensors::decode_adam(layout, &optimizer).map_err(contents(&dir.join(OPTIMIZER)))?,
+        annotations: annotations(dir, &manifest)?,
+    };
+    let behaviour =
+        manifest.entry(BEHAVIOUR).map(|_| params(dir, &manifest, BEHAVIOUR, layout)).transpose()?;
+    agent.restore(&parts).map_err(agent_fault)?;
+    Ok(Loaded {
+        tick: manifest.tick,
+        agent,
+        behaviour,
+        actors: frame(dir, &manifest, ACTORS, ACTORS_KIND)?,
+        run: frame(dir, &manifest, RUN, RUN_KIND)?,
+    })
+}
+
+/// The online parameters of the checkpoint in `dir` alone, of a network of `layout`.
+///
+/// # Errors
+/// As [`load`], as far as that file is concerned.
+pub fn load_model(dir: &Path, layout: &Layout) -> Result<Vec<f32>, CheckpointError> {
+    params(dir, &manifest::read(dir)?, MODEL, layout)
+}
+
+/// What each actor gave of itself to the checkpoint in `dir`, in the order of the actors.
+///
+/// # Errors
+/// As [`load`], as far as that file is concerned.
+pub fn load_actors(dir: &Path) -> Result<Vec<Vec<u8>>, CheckpointError> {
+    frame(dir, &manifest::read(dir)?, ACTORS, ACTORS_KIND)
+}
+
+fn entry<'a>(dir: &Path, manifest: &'a Manifest, name: &str) -> Result<&'a FileEntry, CheckpointError> {
+    manifest.entry(name).ok_or_else(|| contents(&dir.join(MANIFEST))(format!("file {name} is not named")))
+}
+
+fn params(dir: &Path, manifest: &Manifest, name: &str, layout: &Layout) -> Result<Vec<f32>, CheckpointError> {
+    let bytes = file::read_all(dir, entry(dir, manifest, name)?)?;
+    tensors::decode_params(layout, &bytes).map_err(contents(&dir.join(name)))
+}
+
+fn frame<T: DeserializeOwned>(
+    dir: &Path,
+    manifest: &Manifest,
+    name: &str,
+    kind: Kind,
+) -> Result<T, CheckpointError> {
+    let bytes = file::read_all(dir, entry(dir, manifest, name)?)?;
+    codec::decode(kind, &bytes).map_err(contents(&dir.join(name)))
+}
+
+fn annotations(dir: &Path, manifest: &Manifest) -> Result<Vec<u32>, CheckpointError> {
+    let bytes = file::read_all(dir, entry(dir, manifest, ANNOTATIONS)?)?;
+    let refuse = contents(&dir.join(ANNOTATIONS));
+    let head: &[u8] = bytemuck::cast_slice(&ANNOTATIONS_HEAD);
+    match bytes.strip_prefix(head).map(|records| records.as_chunks::<4>()) {
+        Some((words, [])) => Ok(words.iter().map(|word| u32::from_le_bytes(*word)).collect()),
+        Some(_) => Err(refuse("not a whole number of words")),
+        None => Err(refuse("no annotations, or another version of them")),
+    }
+}

@@ -1,0 +1,222 @@
+//! Checkpoints: going on is going on undisturbed, and whatever is wrong with one is found.
+
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::agent::Agent;
+use crate::testing::{World, demonstration, plan};
+use proptest::prelude::*;
+use std::fs;
+use tempfile::TempDir;
+use trestle_proto::plan::RunPlan;
+
+/// Lets `agent` live through `ticks` ticks of the plan's actors.
+fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {
+    for _ in 0..ticks {
+        for actor in 0..actors {
+            let (batch, observed) = world.batch(actor, 5);
+            agent.ingest(&batch, observed.as_ref()).unwrap();
+        }
+        agent.train().unwrap();
+    }
+}
+
+/// A run directory with one checkpoint per tick of `ticks`, and the agent of the last.
+fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
+    let dir = tempfile::tempdir().unwrap();
+    let mut agent = Agent::new(plan, demonstration(plan)).unwrap();
+    let mut world = World::new(plan, 3);
+    let mut now = 0;
+    for &tick in ticks {
+        live(&mut agent, &mut world, plan.config.run.actors, (tick - now) as usize);
+        now = tick;
+        save(dir.path(), plan, tick, &agent).unwrap();
+    }
+    (dir, agent)
+}
+
+fn save(run_dir: &Path, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<PathBuf, CheckpointError> {
+    let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
+    let weights = agent.weights().iter().map(|w| w + 1.0).collect::<Vec<_>>();
+    write(run_dir, &Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run })
+}
+
+/// Everything of an agent that decides what it does next.
+fn everything(agent: &Agent) -> (String, crate::agent::AgentState, trestle_qnet::Adam, Vec<u32>, Vec<u8>) {
+    let mut replay = Vec::new();
+    agent.replay().write(&mut replay).unwrap();
+    let target = agent.network().with_params(|_, target| target.to_vec()).unwrap();
+    replay.extend_from_slice(bytemuck::cast_slice(&target));
+    (agent.weights_sha256(), agent.state(), agent.adam().clone(), agent.annotation_records(), replay)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn going_on_from_a_checkpoint_is_going_on(
+        algo in prop::sample::select(vec!["dqn", "diiqn", "ha-diiqn"]),
+        selection in prop::sample::select(vec!["min-distance", "confidence"]),
+        target in prop::sample::select(vec!["hard", "polyak"]),
+        before in 0usize..14,
+        after in 1usize..8,
+        seed: u64,
+    ) {
+        let sets = [
+            format!("run.algo={algo}"),
+            format!("mentor.selection={selection}"),
+            format!("learner.target={target}"),
+            "learner.target_every=7".into(),
+            "run.actors=2".into(),
+        ];
+        let plan = plan(&sets.each_ref().map(String::as_str));
+        let mut agent = Agent::new(&plan, demonstration(&plan)).unwrap();
+        let mut world = World::new(&plan, seed);
+        live(&mut agent, &mut world, 2, before);
+        let run_dir = tempfile::tempdir().unwrap();
+        let dir = save(run_dir.path(), &plan, before as u64, &agent).unwrap();
+        let loaded = load(&dir, &plan, demonstration(&plan)).unwrap();
+        prop_assert_eq!((loaded.tick, loaded.run.as_slice()), (before as u64, &b"loop"[..]));
+        prop_assert_eq!(loaded.actors, [vec![1, 2, 250], vec![]]);
+        prop_assert_eq!(loaded.behaviour.unwrap()[0], agent.weights()[0] + 1.0);
+        let mut again = loaded.agent;
+        prop_assert!(everything(&again) == everything(&agent));
+        for _ in 0..after {
+            for actor in 0..2 {
+                let (batch, observed) = world.batch(actor, 5);
+                let ingested = agent.ingest(&batch, observed.as_ref()).unwrap();
+                prop_assert_eq!(ingested, again.ingest(&batch, observed.as_ref()).unwrap());
+            }
+            prop_assert_eq!(agent.train().unwrap(), again.train().unwrap());
+        }
+        prop_assert!(everything(&again) == everything(&agent));
+        let model = load_model(&dir, agent.network().layout()).unwrap();
+        prop_assert!(before + after < 10 || model != agent.weights());
+    }
+
+    /// Any file of a checkpoint, cut short, made longer or with one bit flipped, is refused with its name, and an
+    /// older checkpoint is found instead.
+    #[test]
+    fn every_fault_is_found(
+        file in any::<prop::sample::Index>(), at in any::<prop::sample::Index>(), bit in 0u8..8, how in 0..4,
+    ) {
+        let plan = plan(&[]);
+        let (run_dir, _) = run(&plan, &[4, 6]);
+        let dir = directory(run_dir.path(), 6);
+        let mut names: Vec<_> = fs::read_dir(&dir).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        prop_assert_eq!(names.len(), 11);
+        let path = dir.join(&names[file.index(names.len())]);
+        let mut bytes = fs::read(&path).unwrap();
+        let at = at.index(bytes.len());
+        match how {
+            0 => bytes.truncate(at),
+            1 => bytes[at] ^= 1 << bit,
+            2 => bytes.push(bit),
+            _ => {}
+        }
+        if how == 3 { fs::remove_file(&path).unwrap() } else { fs::write(&path, &bytes).unwrap() }
+        let fault = load(&dir, &plan, demonstration(&plan)).unwrap_err().to_string();
+        // A damaged MANIFEST is noticed by COMPLETE.
+        let named = names.iter().any(|name| fault.contains(&*dir.join(name).to_string_lossy()));
+        prop_assert!(named, "{}", fault);
+        prop_assert_eq!(newest_complete(run_dir.path()).unwrap(), Some((4, directory(run_dir.path(), 4))));
+    }
+}
+
+#[test]
+fn the_newest_whole_checkpoint_is_found_and_only_so_many_are_kept() {
+    let plan = plan(&["checkpoint.keep=2"]);
+    let (dir, agent) = run(&plan, &[3, 5, 8]);
+    let there = || {
+        let mut names: Vec<_> = fs::read_dir(dir.path().join(CHECKPOINTS_DIR)).unwrap().collect();
+        names.sort_by_key(|e| e.as_ref().unwrap().file_name());
+        names.into_iter().map(|e| e.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(there(), ["000000000005", "000000000008"]);
+    let last = dir.path().join(LAST_LINK);
+    assert_eq!(fs::read_link(&last).unwrap(), Path::new("checkpoints/000000000008"));
+    assert_eq!(load_model(&last, agent.network().layout()).unwrap(), agent.weights());
+
+    // A kill before COMPLETE, a kill while writing, and strangers' files.
+    fs::remove_file(directory(dir.path(), 8).join(COMPLETE)).unwrap();
+    let scratch = dir.path().join(CHECKPOINTS_DIR).join(format!("{SCRATCH}{}", name_of(9)));
+    fs::create_dir(&scratch).unwrap();
+    fs::write(scratch.join(MODEL), b"half").unwrap();
+    fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("notes")).unwrap();
+    fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("+00000000010")).unwrap();
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5);
+    let fault = load(&directory(dir.path(), 8), &plan, demonstration(&plan)).unwrap_err();
+    assert!(matches!(fault, CheckpointError::Incomplete { .. }), "{fault}");
+
+    // Written again it replaces the unfinished one and clears up.
+    save(dir.path(), &plan, 8, &agent).unwrap();
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 8);
+    assert_eq!(there(), ["+00000000010", "000000000005", "000000000008", "notes"]);
+    // A sound one stays as it is.
+    let before = fs::metadata(directory(dir.path(), 8).join(MODEL)).unwrap().modified().unwrap();
+    save(dir.path(), &plan, 8, &agent).unwrap();
+    assert_eq!(fs::metadata(directory(dir.path(), 8).join(MODEL)).unwrap().modified().unwrap(), before);
+}
+
+#[test]
+fn without_checkpoints_there_is_none() {
+    let dir = tempfile::tempdir().unwrap();
+    assert_eq!(newest_complete(dir.path()).unwrap(), None);
+    fs::write(dir.path().join(CHECKPOINTS_DIR), b"").unwrap();
+    let fault = newest_complete(dir.path()).unwrap_err().to_string();
+    assert!(fault.starts_with("cannot list"), "{fault}");
+}
+
+#[test]
+fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not() {
+    let with = |sets: &[&str]| plan(sets);
+    let (dir, _) = run(&with(&[]), &[6]);
+    let dir = directory(dir.path(), 6);
+    let other = with(&["learner.lr=0.5"]);
+    let fault = load(&dir, &other, demonstration(&other)).unwrap_err();
+    assert!(matches!(fault, CheckpointError::Configuration { .. }), "{fault}");
+    let longer = with(&["run.env_steps=200000", "eval.every=1", "checkpoint.keep=9"]);
+    assert!(load(&dir, &longer, demonstration(&longer)).is_ok());
+    let mut moved = trestle_proto::mentor::MentorTransitions::new(2);
+    (0..longer.mentor_len).for_each(|_| moved.push(&[1.0, 1.0], &[1.0, 1.0], false));
+    let fault = load(&dir, &longer, Some(moved)).unwrap_err().to_string();
+    assert!(fault.contains("demonstration"), "{fault}");
+}
+
+#[test]
+fn a_run_that_ended_within_a_tick_stays_ended() {
+    let ended = plan(&["run.env_steps=22"]);
+    let (dir, agent) = run(&ended, &[5]);
+    assert!(agent.done());
+    let dir = directory(dir.path(), 5);
+    assert!(load(&dir, &ended, demonstration(&ended)).unwrap().agent.done());
+    let longer = plan(&["run.env_steps=23"]);
+    let fault = load(&dir, &longer, demonstration(&longer)).unwrap_err().to_string();
+    assert!(fault.contains("cannot go on"), "{fault}");
+    // One that ended with a tick may go on.
+    let even = plan(&["run.env_steps=25"]);
+    let (dir, _) = run(&even, &[5]);
+    assert!(load(&directory(dir.path(), 5), &longer, demonstration(&longer)).unwrap().agent.done());
+    let longer = plan(&["run.env_steps=26"]);
+    assert!(!load(&directory(dir.path(), 5), &longer, demonstration(&longer)).unwrap().agent.done());
+}
+
+/// What a user of Python's safetensors sees.
+#[test]
+fn tensors_are_named_by_layer() {
+    let plan = plan(&[]);
+    let (dir, agent) = run(&plan, &[6]);
+    let bytes = fs::read(directory(dir.path(), 6).join(MODEL)).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let mut names = file.names();
+    names.sort_unstable();
+    let layers = ["bias", "weight"].map(|part| [0, 1, 2].map(|l| format!("layers.{l}.{part}")));
+    let mut expected = layers.concat();
+    expected.sort();
+    assert_eq!(names, expected);
+    let weight = file.tensor("layers.1.weight").unwrap();
+    assert_eq!(weight.shape(), [9, 7]);
+    // Row i, column o is the weight from input i to output o.
+    let own = &agent.weights()[agent.network().layout().layers()[1].weights()];
+    assert_eq!(weight.data()[4 * (2 * 7 + 3)..][..4], own[2 * 7 + 3].to_le_bytes());
+}

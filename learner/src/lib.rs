@@ -1,0 +1,12 @@
+//! Replay, losses, gradient schedule, checkpoints and the process that learns.
+
+pub mod agent;
+pub mod checkpoint;
+pub mod losses;
+pub mod record;
+pub mod replay;
+pub mod run;
+pub mod session;
+
+#[cfg(test)]
+mod testing;

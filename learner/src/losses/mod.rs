@@ -1,0 +1,18 @@
+//! The losses of a sample, as plain functions: which targets, which mentor transition, which of both losses.
+//!
+//! With y a target under the target network θ⁻ and ℓ the Huber or the squared loss ([`trestle_qnet::Loss`]):
+//!
+//! * L_o = ℓ(Q(s_o, a_o; θ), y_o), equation (2);
+//! * L_m = ℓ(Q(s_m, a_m; θ), y_m) for a feasible mentor transition, (3);
+//! * L_m = ℓ(Q(s_m, a_feas; θ), y_feas) for a bridged one, (6);
+//! * an infeasible mentor transition without a bridge has no L_m.
+//!
+//! [`target`] computes y, [`mentor`] finds a_m and the next state, [`selection`] weighs L_o against L_m.
+
+pub mod mentor;
+pub mod selection;
+pub mod target;
+
+pub use mentor::{MentorKind, MentorRule, MentorTerm, mentor_term};
+pub use selection::{Confidence, Distances, min_distance};
+pub use target::{next_value, target_value};

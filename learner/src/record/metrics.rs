@@ -1,0 +1,241 @@
+//! The rows of `metrics.jsonl` and the points of TensorBoard's curves: keys and values, and the window over
+//! the newest episodes that some of them are means of.
+
+use super::progress::Counters;
+use serde::{Deserialize, Serialize, Serializer};
+use std::collections::VecDeque;
+
+/// Episodes that the rolling means look back on, as in Stable-Baselines3.
+pub const WINDOW: usize = 100;
+
+/// A finished episode.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Episode {
+    /// Undiscounted sum of the rewards, finite.
+    pub total_reward: f64,
+    /// Steps.
+    pub length: u64,
+    /// Whether it ended in a terminal state rather than at the step limit.
+    pub success: bool,
+}
+
+/// Means over episodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Means {
+    pub(super) total_reward: f64,
+    pub(super) length: f64,
+    pub(super) success: f64,
+}
+
+/// Means over `episodes`, none if there are none. Summed in order, so that the same episodes give the same
+/// bits.
+pub(super) fn means<'a>(episodes: impl ExactSizeIterator<Item = &'a Episode>) -> Option<Means> {
+    let n = episodes.len();
+    if n == 0 {
+        return None;
+    }
+    let (mut total_reward, mut length, mut success) = (0.0, 0, 0);
+    for episode in episodes {
+        total_reward += episode.total_reward;
+        length += episode.length;
+        success += u64::from(episode.success);
+    }
+    let n = n as f64;
+    Some(Means { total_reward: total_reward / n, length: length as f64 / n, success: success as f64 / n })
+}
+
+/// The newest [`WINDOW`] training episodes. Part of a checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Window(VecDeque<Episode>);
+
+impl Window {
+    pub(super) fn push(&mut self, episode: Episode) {
+        if self.0.len() == WINDOW {
+            self.0.pop_front();
+        }
+        self.0.push_back(episode);
+    }
+
+    pub(super) fn means(&self) -> Option<Means> {
+        means(self.0.iter())
+    }
+}
+
+/// What the loop knows of itself at the moment of an interval row. NaN stands for "not known": the key is
+/// then left out of the row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gauges {
+    /// ε of the actors' policy, 0 to 1.
+    pub exploration_rate: f64,
+    /// Loss of the newest gradient step, or its mean since the last interval.
+    pub loss: f64,
+    /// Learning rate.
+    pub learning_rate: f64,
+    /// Share of the mentor's transitions that are taken as feasible, 0 to 1.
+    pub feasible_frac: f64,
+    /// Share of the mentor's transitions that have a bridge, 0 to 1.
+    pub bridged_frac: f64,
+    /// Mean over the mentor's transitions of the divergence e_KL of their best estimate.
+    pub e_kl_mean: f64,
+    /// Mean length of the bridges, environment steps.
+    pub bridge_len_mean: f64,
+    /// Share of the samples of gradient steps whose loss is the mentor's, 0 to 1.
+    pub mentor_loss_frac: f64,
+    /// Transitions in the replay.
+    pub replay_size: u64,
+    /// Share of the wall clock spent waiting for other processes, 0 to 1.
+    pub ipc_wait_frac: f64,
+}
+
+impl Default for Gauges {
+    /// Nothing known.
+    fn default() -> Self {
+        Self {
+            exploration_rate: f64::NAN,
+            loss: f64::NAN,
+            learning_rate: f64::NAN,
+            feasible_frac: f64::NAN,
+            bridged_frac: f64::NAN,
+            e_kl_mean: f64::NAN,
+            bridge_len_mean: f64::NAN,
+            mentor_loss_frac: f64::NAN,
+            replay_size: 0,
+            ipc_wait_frac: f64::NAN,
+        }
+    }
+}
+
+/// A value of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+enum Value {
+    Count(u64),
+    Real(f64),
+}
+
+/// A row: values by key, in order. Serialises as one JSON object.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Row(Vec<(&'static str, Value)>);
+
+impl Serialize for Row {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(key, value)| (key, value)))
+    }
+}
+
+impl Row {
+    fn count(&mut self, key: &'static str, value: u64) {
+        self.0.push((key, Value::Count(value)));
+    }
+
+    /// Leaves out what is not finite: JSON has no word for it.
+    fn real(&mut self, key: &'static str, value: f64) {
+        if value.is_finite() {
+            self.0.push((key, Value::Real(value)));
+        }
+    }
+
+    fn means(&mut self, window: &Window) {
+        if let Some(means) = window.means() {
+            self.real("rollout/ep_rew_mean", means.total_reward);
+            self.real("rollout/ep_len_mean", means.length);
+            self.real("rollout/success_rate", means.success);
+        }
+    }
+
+    /// The row as points of curves.
+    pub(super) fn scalars(&self) -> Vec<(&'static str, f32)> {
+        let single = |value: &Value| match value {
+            Value::Count(value) => *value as f32,
+            Value::Real(value) => *value as f32,
+        };
+        self.0.iter().map(|(key, value)| (*key, single(value))).collect()
+    }
+}
+
+/// The row of a finished episode; the window holds it already.
+pub(super) fn episode_row(now: &Counters, wall_s: f64, episode: &Episode, window: &Window) -> Row {
+    let mut row = Row::default();
+    row.count("time/episodes", now.episodes);
+    row.count("time/total_timesteps", now.env_steps);
+    row.real("time/time_elapsed", wall_s);
+    row.real("rollout/ep_rew", episode.total_reward);
+    row.count("rollout/ep_len", episode.length);
+    row.count("rollout/ep_success", u64::from(episode.success));
+    row.means(window);
+    row
+}
+
+/// The row of an interval.
+pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Window, gauges: &Gauges) -> Row {
+    let mut row = Row::default();
+    row.count("time/episodes", now.episodes);
+    row.count("time/total_timesteps", now.env_steps);
+    row.real("time/fps", fps);
+    row.real("time/time_elapsed", wall_s);
+    row.means(window);
+    row.real("rollout/exploration_rate", gauges.exploration_rate);
+    row.real("train/loss", gauges.loss);
+    row.count("train/n_updates", now.grad_steps);
+    row.real("train/learning_rate", gauges.learning_rate);
+    row.real("mentor/feasible_frac", gauges.feasible_frac);
+    row.real("mentor/bridged_frac", gauges.bridged_frac);
+    row.real("mentor/e_kl_mean", gauges.e_kl_mean);
+    row.real("bridge/len_mean", gauges.bridge_len_mean);
+    row.real("loss/mentor_frac", gauges.mentor_loss_frac);
+    row.count("replay/size", gauges.replay_size);
+    row.real("ipc/wait_frac", gauges.ipc_wait_frac);
+    row
+}
+
+/// TensorBoard's points of a greedy evaluation, with Stable-Baselines3's names.
+pub(super) fn evaluation_scalars(means: &Means) -> [(&'static str, f32); 3] {
+    [
+        ("eval/mean_reward", means.total_reward as f32),
+        ("eval/mean_ep_length", means.length as f32),
+        ("eval/success_rate", means.success as f32),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn unknown_values_are_left_out() {
+        let now = Counters { episodes: 2, env_steps: 30, grad_steps: 7 };
+        let gauges =
+            Gauges { loss: f64::INFINITY, learning_rate: 5e-4, replay_size: 30, ..Gauges::default() };
+        let row = interval_row(&now, 1.5, 20.0, &Window::default(), &gauges);
+        assert_eq!(
+            serde_json::to_string(&row).unwrap(),
+            r#"{"time/episodes":2,"time/total_timesteps":30,"time/fps":20.0,"time/time_elapsed":1.5,"train/n_updates":7,"train/learning_rate":0.0005,"replay/size":30}"#
+        );
+        assert_eq!(row.scalars()[2], ("time/fps", 20.0));
+    }
+
+    proptest! {
+        /// Against the tail of all episodes.
+        #[test]
+        fn window_is_the_newest(returns in proptest::collection::vec(-100i32..100, 0..260)) {
+            let episodes: Vec<Episode> = returns
+                .iter()
+                .map(|r| Episode { total_reward: f64::from(*r), length: r.unsigned_abs().into(), success: *r > 0 })
+                .collect();
+            let mut window = Window::default();
+            episodes.iter().for_each(|episode| window.push(*episode));
+            let tail = &episodes[episodes.len().saturating_sub(WINDOW)..];
+            match window.means() {
+                None => prop_assert!(tail.is_empty()),
+                Some(means) => {
+                    let n = tail.len() as f64;
+                    prop_assert_eq!(means.total_reward, tail.iter().map(|e| e.total_reward).sum::<f64>() / n);
+                    prop_assert_eq!(means.length, tail.iter().map(|e| e.length as f64).sum::<f64>() / n);
+                    prop_assert_eq!(means.success, tail.iter().filter(|e| e.success).count() as f64 / n);
+                }
+            }
+        }
+    }
+}

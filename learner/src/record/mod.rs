@@ -1,0 +1,307 @@
+//! What a run leaves behind beside its checkpoints: `evals.csv`, `metrics.jsonl`, TensorBoard's curves and
+//! `result.json`. Used alike by the learner's process and by the single-process loop.
+//!
+//! ```text
+//! recorder = Recorder::create(dir, settings)         of a new run, or
+//!            Recorder::resume(dir, settings, state, counters)
+//! recorder.start_clock()                             just before the first tick
+//! each tick:
+//!     each episode that ended:     recorder.episode(&counters_at_its_end, &episode)
+//!     after a greedy evaluation:   recorder.evaluation(&counters, &episodes)
+//!     if recorder.interval_due():  recorder.interval(&counters, &gauges)
+//!     if recorder.progress_due():  print recorder.progress(&counters, &gauges)
+//!     at a checkpoint:             state = recorder.checkpoint(), to be kept in it
+//! recorder.finish(&counters, &gauges, outcome)       writes result.json
+//! ```
+//!
+//! A resumed run cuts `evals.csv` and `metrics.jsonl` back to the lines that its checkpoint counts, so that
+//! they read as those of an undisturbed run, times aside. TensorBoard keeps its old files and is told which
+//! points are void. The clock decides only when an interval or a progress line is due, and fills `wall_s`,
+//! `fps` and `time_elapsed`: nothing here flows back into training.
+
+mod error;
+mod lines;
+mod metrics;
+mod progress;
+mod result;
+mod solved;
+mod tensorboard;
+
+pub use error::RecordError;
+pub use metrics::{Episode, Gauges, WINDOW};
+pub use progress::{Counters, Limits, Progress, seconds_left};
+pub use result::{RESULT_FILE, RunResult, write_result};
+pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};
+
+use lines::Lines;
+use metrics::{Row, Window, episode_row, evaluation_scalars, interval_row, means};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tensorboard::EventWriter;
+
+/// Name of the file of greedy evaluations in a run directory.
+pub const EVALS_FILE: &str = "evals.csv";
+/// Name of the file of metrics in a run directory.
+pub const METRICS_FILE: &str = "metrics.jsonl";
+/// Time between interval rows, as a loop that has no reason for another would set it.
+pub const METRICS_EVERY: Duration = Duration::from_secs(1);
+/// Time between progress lines, likewise.
+pub const PROGRESS_EVERY: Duration = Duration::from_millis(250);
+
+const EVALS_HEADER: &str = "episode,env_steps,grad_steps,wall_s,return,length,success\n";
+
+/// What a recorder must know of its run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Name of the algorithm.
+    pub algo: String,
+    /// The run's seed.
+    pub seed: u64,
+    /// Name of the environment.
+    pub env: String,
+    /// Return to reach, if one is known.
+    pub goal: Option<Goal>,
+    /// Where the run ends, for the estimate of the time left.
+    pub limits: Limits,
+    /// Time between interval rows.
+    pub metrics_every: Duration,
+    /// Time between progress lines.
+    pub progress_every: Duration,
+}
+
+/// What a checkpoint must hold for a run to be recorded on. Opaque; to be kept in a format that preserves
+/// every bit of an `f64`, such as the frames of `trestle_proto::codec` (JSON as we read it may lose the last
+/// one).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RecorderState {
+    wall_s: f64,
+    evals_rows: u64,
+    metrics_rows: u64,
+    window: Window,
+    standing: Standing,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// SHA-256 of the final weights, in hexadecimal.
+    pub weights_sha256: String,
+    /// How many times the run was started again after a process of it had died.
+    pub restarts: u64,
+    /// Whether it ended before its limits.
+    pub interrupted: bool,
+}
+
+/// The open files of a run directory and what is remembered between rows.
+#[derive(Debug)]
+pub struct Recorder {
+    dir: PathBuf,
+    settings: Settings,
+    evals: Lines,
+    metrics: Lines,
+    events: EventWriter,
+    window: Window,
+    standing: Standing,
+    /// Seconds of training before this process.
+    wall_before_s: f64,
+    /// The counters with which this process began.
+    from: Counters,
+    started: Instant,
+    last_interval: Instant,
+    last_progress: Instant,
+}
+
+impl Recorder {
+    /// For a run from its beginning. `dir` exists; files of an earlier run in it are replaced.
+    pub fn create(dir: &Path, settings: Settings) -> Result<Self, RecordError> {
+        let evals = Lines::create(&dir.join(EVALS_FILE), EVALS_HEADER)?;
+        let metrics = Lines::create(&dir.join(METRICS_FILE), "")?;
+        let events = EventWriter::create(dir, 0)?;
+        Ok(Self::new(dir, settings, evals, metrics, events, RecorderState::default(), Counters::default()))
+    }
+
+    /// For a run that goes on from a checkpoint, which held `state` and was taken at `counters`. What was
+    /// recorded after the checkpoint is removed; what was recorded before it must still be there.
+    pub fn resume(
+        dir: &Path,
+        settings: Settings,
+        state: RecorderState,
+        counters: Counters,
+    ) -> Result<Self, RecordError> {
+        let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows)?;
+        let metrics = Lines::resume(&dir.join(METRICS_FILE), "", state.metrics_rows)?;
+        let events = EventWriter::create(dir, counters.env_steps + 1)?;
+        Ok(Self::new(dir, settings, evals, metrics, events, state, counters))
+    }
+
+    fn new(
+        dir: &Path,
+        settings: Settings,
+        evals: Lines,
+        metrics: Lines,
+        events: EventWriter,
+        state: RecorderState,
+        from: Counters,
+    ) -> Self {
+        let now = Instant::now();
+        Self {
+            dir: dir.to_path_buf(),
+            settings,
+            evals,
+            metrics,
+            events,
+            window: state.window,
+            standing: state.standing,
+            wall_before_s: state.wall_s,
+            from,
+            started: now,
+            last_interval: now,
+            last_progress: now,
+        }
+    }
+
+    /// Begins to count `wall_s`: call it just before the first tick, when all processes have answered.
+    /// Without a call it counts from the recorder's creation.
+    pub fn start_clock(&mut self) {
+        let now = Instant::now();
+        (self.started, self.last_interval, self.last_progress) = (now, now, now);
+    }
+
+    /// Seconds of training so far, those before a resumption included.
+    pub fn wall_s(&self) -> f64 {
+        self.wall_before_s + self.started.elapsed().as_secs_f64()
+    }
+
+    /// What the evaluations so far amount to.
+    pub fn standing(&self) -> &Standing {
+        &self.standing
+    }
+
+    /// A training episode has ended; `counters` include it and its last step.
+    pub fn episode(&mut self, counters: &Counters, episode: &Episode) -> Result<(), RecordError> {
+        self.window.push(*episode);
+        let row = episode_row(counters, self.wall_s(), episode, &self.window);
+        self.push_metrics(&row)
+    }
+
+    /// A greedy evaluation has been played; its line is the mean over its episodes. Returns that mean return.
+    pub fn evaluation(&mut self, counters: &Counters, episodes: &[Episode]) -> Result<f64, RecordError> {
+        let Counters { episodes: episode, env_steps, grad_steps } = *counters;
+        let means = means(episodes.iter()).ok_or(RecordError::NoEpisodes { env_steps })?;
+        let wall_s = self.wall_s();
+        let (total_reward, length, success) = (means.total_reward, means.length, means.success);
+        self.evals.push(&format!(
+            "{episode},{env_steps},{grad_steps},{wall_s:.3},{total_reward},{length},{success}"
+        ))?;
+        self.evals.flush()?;
+        self.events.scalars(env_steps, &evaluation_scalars(&means))?;
+        self.standing.observe(self.settings.goal, Moment { episode, env_steps }, total_reward);
+        Ok(total_reward)
+    }
+
+    /// Whether it is time for [`Recorder::interval`]. Reads the clock: ask once a tick.
+    pub fn interval_due(&self) -> bool {
+        self.last_interval.elapsed() >= self.settings.metrics_every
+    }
+
+    /// Writes an interval row and hands all that is buffered to the operating system.
+    pub fn interval(&mut self, counters: &Counters, gauges: &Gauges) -> Result<(), RecordError> {
+        self.last_interval = Instant::now();
+        let row = interval_row(counters, self.wall_s(), self.fps(counters), &self.window, gauges);
+        self.push_metrics(&row)?;
+        self.events.scalars(counters.env_steps, &row.scalars())?;
+        self.metrics.flush()?;
+        self.events.flush()
+    }
+
+    /// Whether it is time for [`Recorder::progress`]. Reads the clock: ask once a tick.
+    pub fn progress_due(&self) -> bool {
+        self.last_progress.elapsed() >= self.settings.progress_every
+    }
+
+    /// How far the run is.
+    pub fn progress(&mut self, counters: &Counters, gauges: &Gauges) -> Progress {
+        self.last_progress = Instant::now();
+        let known = |value: f64| value.is_finite().then_some(value);
+        let elapsed_s = self.started.elapsed().as_secs_f64();
+        Progress {
+            episodes: counters.episodes,
+            env_steps: counters.env_steps,
+            grad_steps: counters.grad_steps,
+            ep_rew_mean: self.window.means().map(|means| means.total_reward),
+            eval_return: self.standing.final_return(),
+            fps: self.fps(counters),
+            feasible_frac: known(gauges.feasible_frac),
+            bridged_frac: known(gauges.bridged_frac),
+            seconds_left: seconds_left(&self.settings.limits, &self.from, counters, elapsed_s),
+            solved: self.standing.solved().is_some(),
+            optimal: self.standing.optimal().is_some(),
+        }
+    }
+
+    /// What goes into the checkpoint that is being taken. All lines so far are on the disk when this returns,
+    /// so a complete checkpoint never counts lines that a crash can take away.
+    pub fn checkpoint(&mut self) -> Result<RecorderState, RecordError> {
+        self.evals.sync()?;
+        self.metrics.sync()?;
+        self.events.flush()?;
+        Ok(RecorderState {
+            wall_s: self.wall_s(),
+            evals_rows: self.evals.rows(),
+            metrics_rows: self.metrics.rows(),
+            window: self.window.clone(),
+            standing: self.standing.clone(),
+        })
+    }
+
+    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`.
+    pub fn finish(
+        mut self,
+        counters: &Counters,
+        gauges: &Gauges,
+        outcome: Outcome,
+    ) -> Result<RunResult, RecordError> {
+        let wall_s = self.wall_s();
+        self.interval(counters, gauges)?;
+        let (solved, optimal) = (self.standing.solved(), self.standing.optimal());
+        let result = RunResult {
+            algo: self.settings.algo,
+            seed: self.settings.seed,
+            env: self.settings.env,
+            episodes: counters.episodes,
+            env_steps: counters.env_steps,
+            grad_steps: counters.grad_steps,
+            wall_s,
+            solved_episode: solved.map(|at| at.episode),
+            solved_env_steps: solved.map(|at| at.env_steps),
+            optimal_episode: optimal.map(|at| at.episode),
+            optimal_env_steps: optimal.map(|at| at.env_steps),
+            threshold: self.settings.goal.map(|goal| goal.threshold),
+            best_return: self.standing.best_return(),
+            final_return: self.standing.final_return(),
+            weights_sha256: outcome.weights_sha256,
+            restarts: outcome.restarts,
+            interrupted: outcome.interrupted,
+        };
+        write_result(&self.dir, &result)?;
+        Ok(result)
+    }
+
+    /// Environment steps a second since this process began to train.
+    fn fps(&self, counters: &Counters) -> f64 {
+        let elapsed_s = self.started.elapsed().as_secs_f64();
+        let steps = counters.env_steps.saturating_sub(self.from.env_steps);
+        if elapsed_s > 0.0 { steps as f64 / elapsed_s } else { 0.0 }
+    }
+
+    fn push_metrics(&mut self, row: &Row) -> Result<(), RecordError> {
+        let line = serde_json::to_string(row)
+            .map_err(std::io::Error::from)
+            .map_err(error::io("encode a line of", &self.dir.join(METRICS_FILE)))?;
+        self.metrics.push(&line)
+    }
+}
+
+#[cfg(test)]
+mod tests;

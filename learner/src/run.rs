@@ -1,0 +1,309 @@
+//! The loop of the learner's process in lockstep.
+//!
+//! A tick: every actor sends exactly one batch; the learner takes them in by the actors' order, asking the
+//! mentor-server about each; takes the gradient steps that are due; publishes the weights; and sends the next tick.
+//! With `run.lag = 1` the next tick is sent before the gradient steps, so that actors and learner work at the same
+//! time, the actors with the weights of one tick earlier.
+//!
+//! Weights are published only right before a tick that names them, when no actor can still be reading others. The
+//! outcome is therefore a function of the plan alone.
+
+use crate::session::{Resumed, Session, SessionError};
+use crate::record::{Progress, RunResult};
+use std::time::Instant;
+use trestle_proto::batch::Batch;
+use trestle_proto::codec::{self, CodecError};
+use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
+use trestle_proto::logging;
+use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
+use trestle_proto::annotation::record_words;
+use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{QueryRequest, TRANSITIONS};
+use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply};
+use trestle_proto::rundir::RunDir;
+use trestle_proto::transport::{FromActor, LearnerLink, LinkError, Stop};
+
+/// What ends the learner's process early.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// Learning, records or checkpoints.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The other processes.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The mentor's transitions.
+    #[error(transparent)]
+    Mentor(#[from] MentorTransitionsError),
+    /// An evaluation that cannot be read.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+}
+
+/// Trains `plan`'s run over `link` until it is done or `stop` says so, and leaves its result in `dir`.
+///
+/// When `stop` says so the tick under way is finished and a checkpoint taken; the result says `interrupted`.
+///
+/// # Errors
+/// A peer that is gone or sends what cannot be right, training that diverges, or a file that cannot be written.
+pub fn run(
+    link: &mut impl LearnerLink,
+    plan: &RunPlan,
+    dir: &RunDir,
+    stop: Stop<'_>,
+    progress: impl FnMut(&Progress),
+) -> Result<RunResult, RunError> {
+    link.welcome(stop)?;
+    let mentor = if plan.mentor_len > 0 { Some(fetch_transitions(link, plan)?) } else { None };
+    let (session, behaviour) = match plan.resume_tick {
+        None => (Session::new(plan, dir, mentor, progress)?, None),
+        Some(tick) => {
+            let Resumed { session, behaviour } = Session::resume(plan, dir, tick, mentor, progress)?;
+            if plan.mentor_len > 0 {
+                rebuild_mentor(link, plan, &session)?;
+            }
+            (session, behaviour)
+        }
+    };
+    tracing::info!(tick = session.tick(), "all processes are ready");
+    let actors = plan.config.run.actors as usize;
+    let rollout = plan.config.run.rollout as usize;
+    Lockstep {
+        link,
+        plan,
+        session,
+        batches: vec![Batch::with_capacity(rollout, plan.spec.obs_dim()); actors],
+        arrived: vec![false; actors],
+        awaited: 0,
+        observed: Observed::default(),
+        snapshots: vec![None; actors],
+        behaviour,
+        stop,
+    }
+    .run()
+}
+
+struct Lockstep<'a, L> {
+    link: &'a mut L,
+    plan: &'a RunPlan,
+    session: Session<'a>,
+    /// Each actor's batch of the tick, and whether it has come.
+    batches: Vec<Batch>,
+    arrived: Vec<bool>,
+    /// The tick whose batches may come.
+    awaited: u64,
+    observed: Observed,
+    /// The snapshots that have come since they were asked for.
+    snapshots: Vec<Option<Vec<u8>>>,
+    /// What the actors act with where it is not the agent's newest: until the first publication of a resumed run, and
+    /// for the checkpoint that is being taken.
+    behaviour: Option<Vec<f32>>,
+    stop: Stop<'a>,
+}
+
+impl<L: LearnerLink> Lockstep<'_, L> {
+    fn run(mut self) -> Result<RunResult, RunError> {
+        let lag = u64::from(self.plan.config.run.lag);
+        let mut tick = self.session.tick();
+        self.begin(tick, lag)?;
+        loop {
+            tick += 1;
+            logging::set_tick(tick);
+            self.receive()?;
+            let leaving = (self.stop)();
+            let saving = leaving || self.session.checkpoint_due(tick);
+            if lag == 1 {
+                self.dispatch(tick, saving, leaving)?;
+            }
+            self.learn(tick)?;
+            if self.session.done() {
+                return self.finish(tick, lag == 1 && !leaving);
+            }
+            if lag == 0 {
+                self.dispatch(tick, saving, leaving)?;
+            }
+            if saving {
+                self.save()?;
+            }
+            if leaving {
+                tracing::info!("interrupted: the tick is finished and saved");
+                self.link.send_tick(&self.session.stop())?;
+                return Ok(self.session.finish(true)?);
+            }
+        }
+    }
+
+    /// Sends the first tick after `tick`, the last that has been trained on.
+    fn begin(&mut self, tick: u64, lag: u64) -> Result<(), RunError> {
+        self.session.start();
+        let version = if self.behaviour.is_some() { tick.saturating_sub(lag) } else { tick };
+        let weights = self.behaviour.take();
+        let weights = weights.as_deref().unwrap_or_else(|| self.session.agent().weights());
+        self.link.send_weights(version, weights)?;
+        self.send_collect(tick + 1, version)
+    }
+
+    fn send_collect(&mut self, tick: u64, version: u64) -> Result<(), RunError> {
+        self.awaited = tick;
+        Ok(self.link.send_tick(&self.session.collect(tick, version))?)
+    }
+
+    /// Publishes the newest weights and sends all ticks that come between the batches of `tick` and the next: an
+    /// evaluation that is due, snapshots if a checkpoint is taken, and, unless the run is leaving, the collection.
+    fn dispatch(&mut self, tick: u64, saving: bool, leaving: bool) -> Result<(), RunError> {
+        let version = self.session.tick();
+        self.link.send_weights(version, self.session.agent().weights())?;
+        if let Some(evaluate) = self.session.evaluate() {
+            self.link.send_tick(&evaluate)?;
+        }
+        if saving {
+            // With a lag the agent learns on before the checkpoint is written.
+            let older = version < tick;
+            self.behaviour = older.then(|| self.session.agent().weights().to_vec());
+            self.link.send_tick(&self.session.snapshot(tick))?;
+        }
+        if leaving { Ok(()) } else { self.send_collect(tick + 1, version) }
+    }
+
+    /// Waits for the batches of the tick that was sent, of all actors, and for the evaluation asked for before it.
+    fn receive(&mut self) -> Result<(), RunError> {
+        while !self.arrived.iter().all(|arrived| *arrived) || self.session.awaits_evaluation() {
+            self.next()?;
+        }
+        self.arrived.fill(false);
+        Ok(())
+    }
+
+    /// Waits for the next message, however long it takes (the supervisor notices when a process dies), and puts it
+    /// where it belongs.
+    fn next(&mut self) -> Result<(), RunError> {
+        let start = Instant::now();
+        let message = loop {
+            if let Some(message) = self.link.recv(&mut self.batches, WAIT_SLICE)? {
+                break message;
+            }
+        };
+        self.session.waited(start.elapsed());
+        match message {
+            FromActor::Reply(reply) => self.reply(reply),
+            FromActor::Batch(actor) => {
+                let (found, awaited) = (self.batches[actor as usize].header.tick, self.awaited);
+                if found == awaited && !std::mem::replace(&mut self.arrived[actor as usize], true) {
+                    return Ok(());
+                }
+                let text = format!("actor {actor}'s batch of tick {found}; tick {awaited} is awaited");
+                Err(LinkError::Unexpected(text).into())
+            }
+        }
+    }
+
+    fn reply(&mut self, reply: Reply) -> Result<(), RunError> {
+        let actor = reply.header.actor;
+        match reply.header.kind {
+            EVALUATION => {
+                let evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
+                Ok(self.session.evaluated(&evaluation)?)
+            }
+            ACTOR_STATE => {
+                self.snapshots[actor as usize] = Some(reply.payload);
+                Ok(())
+            }
+            kind => Err(LinkError::Unexpected(format!("a reply of kind {kind} from actor {actor}")).into()),
+        }
+    }
+
+    /// Takes the batches in, in the order of the actors, and trains.
+    fn learn(&mut self, tick: u64) -> Result<(), RunError> {
+        for (actor, batch) in self.batches.iter().enumerate() {
+            let observed = if self.plan.mentor_len > 0 {
+                let first_index = self.session.agent().counters().env_steps;
+                let request = request(self.plan, tick, first_index, OBSERVE, actor as u32, batch.len());
+                let start = Instant::now();
+                self.link.observe(&request, batch.payload(), &mut self.observed)?;
+                self.session.waited(start.elapsed());
+                Some(&self.observed)
+            } else {
+                None
+            };
+            self.session.ingest(batch, observed)?;
+        }
+        Ok(self.session.train(tick)?)
+    }
+
+    /// Waits for all snapshots that were asked for and writes the checkpoint. Batches of the next tick, which the
+    /// actors begin as soon as they have answered, may come meanwhile.
+    fn save(&mut self) -> Result<(), RunError> {
+        while self.snapshots.iter().any(Option::is_none) || self.session.awaits_evaluation() {
+            self.next()?;
+        }
+        let snapshots: Vec<Vec<u8>> = self.snapshots.iter_mut().filter_map(Option::take).collect();
+        Ok(self.session.checkpoint(self.behaviour.take().as_deref(), &snapshots)?)
+    }
+
+    /// The run has reached its limits in `tick`: a last evaluation, a last checkpoint, the result. `ahead`: the actors
+    /// have been sent on to the next tick, whose batches nobody needs.
+    fn finish(mut self, tick: u64, ahead: bool) -> Result<RunResult, RunError> {
+        if ahead {
+            self.receive()?;
+        }
+        self.session.request_final_evaluation();
+        self.dispatch(tick, true, true)?;
+        self.save()?;
+        self.link.send_tick(&self.session.stop())?;
+        Ok(self.session.finish(false)?)
+    }
+}
+
+fn request(plan: &RunPlan, tick: u64, first_index: u64, op: u32, actor: u32, count: usize) -> ObserveRequest {
+    let (run, count, obs_dim) = (plan.run, count as u32, plan.spec.obs_dim() as u32);
+    ObserveRequest { run, tick, first_index, op, actor, count, obs_dim }
+}
+
+/// Asks the mentor-server for the mentor's transitions, piece by piece.
+fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
+    let mut transitions = MentorTransitions::new(plan.spec.obs_dim());
+    let mut words = Vec::new();
+    while transitions.len() < plan.mentor_len {
+        let before = transitions.len();
+        let request = QueryRequest {
+            run: plan.run,
+            op: TRANSITIONS,
+            first: before as u32,
+            count: ((plan.mentor_len - before) as u32).min(MAX_QUERY_ROWS),
+            obs_dim: plan.spec.obs_dim() as u32,
+        };
+        link.query(&request, &[], &mut words)?;
+        transitions.decode(&words)?;
+        if transitions.len() == before || transitions.len() > plan.mentor_len {
+            let text = format!("{} mentor transitions, {} are expected", transitions.len(), plan.mentor_len);
+            return Err(LinkError::Unexpected(text).into());
+        }
+    }
+    Ok(transitions)
+}
+
+/// Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
+fn rebuild_mentor(
+    link: &mut impl LearnerLink,
+    plan: &RunPlan,
+    session: &Session<'_>,
+) -> Result<(), RunError> {
+    let (agent, tick) = (session.agent(), session.tick());
+    let replay = agent.replay();
+    let (mut batch, mut observed) = (Batch::default(), Observed::default());
+    let mut index = replay.first_index();
+    while index < replay.next_index() {
+        let count = replay.fill_batch(index, plan.config.run.rollout as usize, &mut batch);
+        let request = request(plan, tick, index, REBUILD, batch.header.actor, count);
+        link.observe(&request, batch.payload(), &mut observed)?;
+        index += count as u64;
+    }
+    let records = agent.annotation_records();
+    let record = record_words(plan.spec.obs_dim());
+    for chunk in records.chunks(record * MAX_QUERY_ROWS as usize) {
+        let request = request(plan, tick, replay.next_index(), RESTORE, 0, chunk.len() / record);
+        link.observe(&request, chunk, &mut observed)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,352 @@
+//! What a training loop does besides moving messages: it feeds the agent, decides when evaluations and checkpoints
+//! are due, and keeps the records. Used alike by the learner's process and by the single-process loop, so that both
+//! leave the same files behind.
+//!
+//! Every decision depends on counts alone; the clock only paces what people look at.
+
+use crate::agent::{Agent, AgentError, TrainStats};
+use crate::checkpoint::{self, CheckpointError, Cut};
+use crate::record::{
+    Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, Outcome, PROGRESS_EVERY, Progress, RecordError,
+    Recorder, RecorderState, RunResult, Settings,
+};
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
+use trestle_proto::batch::Batch;
+use trestle_proto::codec::{self, CodecError, Kind};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::observe::Observed;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::reply::Evaluation;
+use trestle_proto::rundir::RunDir;
+use trestle_proto::schedule;
+use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
+
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 1 };
+
+/// What can end a session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// Learning.
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+    /// Records.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// Checkpoints.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The session's own part of a checkpoint.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// An evaluation that nobody has asked for.
+    #[error("evaluation {found} came; {expected} is due")]
+    Evaluation {
+        /// Its number.
+        found: u64,
+        /// The number that was asked for, or `none`.
+        expected: String,
+    },
+}
+
+/// A training run between its first and its last tick.
+pub struct Session<'a> {
+    plan: &'a RunPlan,
+    dir: &'a RunDir,
+    agent: Agent,
+    recorder: Recorder,
+    /// The last tick that has been trained on.
+    tick: u64,
+    /// Number of the next evaluation.
+    evaluations: u64,
+    /// The counts at which an evaluation became due; it is played with the weights of that moment.
+    due: Option<Counters>,
+    /// The same of the evaluation that has been asked for and not yet answered.
+    ordered: Option<Counters>,
+    /// The counts at the last evaluation that became due, played or not.
+    evaluated_at: Counters,
+    /// Training since the last interval row.
+    stats: TrainStats,
+    /// Time spent waiting for other processes since `since`.
+    waited: Duration,
+    since: Instant,
+    progress: Box<dyn FnMut(&Progress) + 'a>,
+}
+
+/// What a checkpoint keeps of a session beside the agent.
+#[derive(Serialize, Deserialize)]
+struct State {
+    recorder: RecorderState,
+    evaluations: u64,
+    due: Option<Counters>,
+    evaluated_at: Counters,
+}
+
+/// A session that goes on from a checkpoint, and what the rest of the run needs from there.
+pub struct Resumed<'a> {
+    /// The session after the checkpoint's tick.
+    pub session: Session<'a>,
+    /// The weights that the actors act with in the next tick, where they are not the agent's newest.
+    pub behaviour: Option<Vec<f32>>,
+}
+
+impl<'a> Session<'a> {
+    /// The beginning of `plan`'s run. `progress` is called a few times a second.
+    pub fn new(
+        plan: &'a RunPlan,
+        dir: &'a RunDir,
+        mentor: Option<MentorTransitions>,
+        progress: impl FnMut(&Progress) + 'a,
+    ) -> Result<Self, SessionError> {
+        Ok(Self {
+            plan,
+            dir,
+            agent: Agent::new(plan, mentor)?,
+            recorder: Recorder::create(dir.root(), settings(plan))?,
+            tick: 0,
+            evaluations: 0,
+            due: None,
+            ordered: None,
+            evaluated_at: Counters::default(),
+            stats: TrainStats::default(),
+            waited: Duration::ZERO,
+            since: Instant::now(),
+            progress: Box::new(progress),
+        })
+    }
+
+    /// Goes on after checkpoint `tick` of the run's directory.
+    pub fn resume(
+        plan: &'a RunPlan,
+        dir: &'a RunDir,
+        tick: u64,
+        mentor: Option<MentorTransitions>,
+        progress: impl FnMut(&Progress) + 'a,
+    ) -> Result<Resumed<'a>, SessionError> {
+        let loaded = checkpoint::load(&checkpoint::directory(dir.root(), tick), plan, mentor)?;
+        let state: State = codec::decode(KIND, &loaded.run)?;
+        let counters = loaded.agent.counters();
+        let session = Self {
+            plan,
+            dir,
+            agent: loaded.agent,
+            recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
+            tick: loaded.tick,
+            evaluations: state.evaluations,
+            due: state.due,
+            ordered: None,
+            evaluated_at: state.evaluated_at,
+            stats: TrainStats::default(),
+            waited: Duration::ZERO,
+            since: Instant::now(),
+            progress: Box::new(progress),
+        };
+        Ok(Resumed { session, behaviour: loaded.behaviour })
+    }
+
+    /// All processes have answered: time counts from here.
+    pub fn start(&mut self) {
+        self.recorder.start_clock();
+        self.since = Instant::now();
+        self.show_progress();
+    }
+
+    /// The agent.
+    pub fn agent(&self) -> &Agent {
+        &self.agent
+    }
+
+    /// The last tick that has been trained on.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// The tick that makes the actors collect for tick `number` with weights `version`.
+    pub fn collect(&self, number: u64, version: u64) -> Tick {
+        Tick {
+            tick: number,
+            weights_version: version,
+            // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
+            env_steps: (number - 1) * self.steps_per_tick(),
+            kind: COLLECT,
+            amount: self.plan.config.run.rollout,
+            ..self.blank()
+        }
+    }
+
+    /// The tick that asks for the evaluation that is due, if one is. It is to be sent at once, and answered before
+    /// the next one becomes due for the second time.
+    pub fn evaluate(&mut self) -> Option<Tick> {
+        self.ordered = Some(self.due.take()?);
+        let (weights_version, evaluation) = (self.tick, self.evaluations);
+        let amount = self.plan.config.eval.episodes;
+        Some(Tick { weights_version, evaluation, kind: EVALUATE, amount, ..self.blank() })
+    }
+
+    /// The tick that asks for snapshots after tick `number`.
+    pub fn snapshot(&self, number: u64) -> Tick {
+        Tick { tick: number, kind: SNAPSHOT, ..self.blank() }
+    }
+
+    /// The tick that ends the run.
+    pub fn stop(&self) -> Tick {
+        Tick { kind: STOP, ..self.blank() }
+    }
+
+    fn blank(&self) -> Tick {
+        Tick { run: self.plan.run, tick: self.tick, ..Tick::default() }
+    }
+
+    fn steps_per_tick(&self) -> u64 {
+        u64::from(self.plan.config.run.actors) * u64::from(self.plan.config.run.rollout)
+    }
+
+    /// Takes one actor's batch in; the batches of a tick come in the order of the actors.
+    pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<(), SessionError> {
+        for finished in self.agent.ingest(batch, observed)?.finished {
+            self.recorder.episode(&finished.counters, &finished.episode)?;
+        }
+        Ok(())
+    }
+
+    /// Takes the gradient steps that the transitions of tick `number` make due, and decides whether an evaluation is.
+    pub fn train(&mut self, number: u64) -> Result<(), SessionError> {
+        self.stats.merge(&self.agent.train()?);
+        self.tick = number;
+        let now = self.agent.counters();
+        let every = self.plan.config.eval.every;
+        if now.episodes / every > self.evaluated_at.episodes / every {
+            self.due = Some(now);
+            self.evaluated_at = now;
+        }
+        if self.recorder.interval_due() {
+            let gauges = self.gauges();
+            self.recorder.interval(&now, &gauges)?;
+            self.stats = TrainStats::default();
+            self.waited = Duration::ZERO;
+            self.since = Instant::now();
+        }
+        if self.recorder.progress_due() {
+            self.show_progress();
+        }
+        Ok(())
+    }
+
+    /// Whether the run has reached its limits.
+    pub fn done(&self) -> bool {
+        self.agent.done()
+    }
+
+    /// Makes a last evaluation due unless there has been one at this very point.
+    pub fn request_final_evaluation(&mut self) {
+        let now = self.agent.counters();
+        if self.due.is_none() && self.evaluated_at.env_steps != now.env_steps {
+            self.due = Some(now);
+            self.evaluated_at = now;
+        }
+    }
+
+    /// Records the evaluation that was asked for.
+    pub fn evaluated(&mut self, evaluation: &Evaluation) -> Result<(), SessionError> {
+        let Some(counters) = self.ordered.filter(|_| evaluation.evaluation == self.evaluations) else {
+            let expected = self.ordered.map_or("none".into(), |_| self.evaluations.to_string());
+            return Err(SessionError::Evaluation { found: evaluation.evaluation, expected });
+        };
+        let episodes: Vec<Episode> = evaluation
+            .episodes
+            .iter()
+            .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
+            .collect();
+        self.recorder.evaluation(&counters, &episodes)?;
+        self.ordered = None;
+        self.evaluations += 1;
+        Ok(())
+    }
+
+    /// Whether an evaluation has been asked for and not yet answered.
+    pub fn awaits_evaluation(&self) -> bool {
+        self.ordered.is_some()
+    }
+
+    /// Time spent waiting for other processes.
+    pub fn waited(&mut self, time: Duration) {
+        self.waited += time;
+    }
+
+    /// Whether a checkpoint is to be taken after tick `number`.
+    pub fn checkpoint_due(&self, number: u64) -> bool {
+        let every = self.plan.config.checkpoint.every_env_steps;
+        let steps = |ticks: u64| ticks * self.steps_per_tick();
+        every > 0 && steps(number) / every > steps(number - 1) / every
+    }
+
+    /// Takes a checkpoint after the last trained tick. `behaviour`: the weights that actors act with in the next tick,
+    /// where they are not the newest; `actors`: their snapshots, in order.
+    pub fn checkpoint(
+        &mut self,
+        behaviour: Option<&[f32]>,
+        actors: &[Vec<u8>],
+    ) -> Result<(), SessionError> {
+        let state = State {
+            recorder: self.recorder.checkpoint()?,
+            evaluations: self.evaluations,
+            due: self.due,
+            evaluated_at: self.evaluated_at,
+        };
+        let run = codec::encode(KIND, &state)?;
+        let cut =
+            Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
+        let path = checkpoint::write(self.dir.root(), &cut)?;
+        tracing::info!(path = %path.display(), "checkpoint");
+        Ok(())
+    }
+
+    /// Ends the record and writes the result.
+    pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
+        self.show_progress();
+        let gauges = self.gauges();
+        let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts: 0, interrupted };
+        Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
+    }
+
+    fn show_progress(&mut self) {
+        let gauges = self.gauges();
+        let progress = self.recorder.progress(&self.agent.counters(), &gauges);
+        (self.progress)(&progress);
+    }
+
+    fn gauges(&self) -> Gauges {
+        let config = &self.plan.config;
+        let mut gauges = Gauges {
+            exploration_rate: schedule::epsilon(&config.exploration, self.agent.counters().env_steps),
+            loss: self.stats.loss_mean(),
+            learning_rate: config.learner.lr,
+            replay_size: self.agent.replay().len() as u64,
+            ipc_wait_frac: self.waited.as_secs_f64() / self.since.elapsed().as_secs_f64(),
+            ..Gauges::default()
+        };
+        if let Some(summary) = self.agent.mentor_summary() {
+            let share = |n: usize| n as f64 / summary.len as f64;
+            gauges.feasible_frac = share(summary.feasible);
+            gauges.bridged_frac = share(summary.bridged);
+            gauges.e_kl_mean = summary.e_kl_mean;
+            gauges.bridge_len_mean = summary.bridge_len_mean;
+            gauges.mentor_loss_frac = self.stats.mentor_frac();
+        }
+        gauges
+    }
+}
+
+/// What the recorder must know of the run.
+fn settings(plan: &RunPlan) -> Settings {
+    let (run, eval) = (&plan.config.run, &plan.config.eval);
+    Settings {
+        algo: run.algo.name().into(),
+        seed: run.seed,
+        env: plan.spec.name.clone(),
+        goal: plan.threshold().map(|threshold| Goal { threshold, tolerance: eval.tolerance }),
+        limits: Limits { episodes: run.episodes, env_steps: run.env_steps },
+        metrics_every: METRICS_EVERY,
+        progress_every: PROGRESS_EVERY,
+    }
+}

@@ -1,0 +1,114 @@
+//! A small made-up run for tests: a plan, a demonstration, and random batches with the mentor-server's answers.
+
+#![allow(clippy::unwrap_used)]
+
+use rand::{Rng, RngCore, SeedableRng};
+use trestle_proto::NONE;
+use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
+use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::config::{Config, load};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::observe::Observed;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rng::Stream;
+use trestle_proto::space::EnvSpec;
+
+pub(crate) const MENTOR_LEN: usize = 6;
+pub(crate) const N_ACTIONS: u32 = 3;
+
+/// A plan with a small network and two features, `sets` being overrides as a user would type them.
+pub(crate) fn plan(sets: &[&str]) -> RunPlan {
+    let small = [
+        "run.env_steps=100000",
+        "run.episodes=1000000",
+        "learner.hidden=[9, 7]",
+        "learner.batch=8",
+        "learner.warmup=16",
+        "learner.train_every=2",
+        "learner.replay=50",
+        "learner.lr=0.01",
+    ];
+    let sets: Vec<String> = small.iter().chain(sets).map(ToString::to_string).collect();
+    let config: Config = load("maze-small", &sets).unwrap();
+    let spec = EnvSpec {
+        name: "test".into(),
+        low: vec![-4.0; 2],
+        high: vec![4.0; 2],
+        scale: vec![1.0; 2],
+        integral: true,
+        actions: ["a", "b", "c"].map(String::from).to_vec(),
+        best_return: None,
+    };
+    let mentor_len = if config.run.algo.has_mentor() { MENTOR_LEN } else { 0 };
+    RunPlan { run: 1, config, spec, mentor_len, resume_tick: None }
+}
+
+/// The demonstration of [`plan`]; none for `dqn`.
+pub(crate) fn demonstration(plan: &RunPlan) -> Option<MentorTransitions> {
+    let mut transitions = MentorTransitions::new(2);
+    for j in 0..plan.mentor_len {
+        let x = j as f32 - 3.0;
+        transitions.push(&[x, 0.5 * x], &[x + 1.0, 0.5 * x + 0.5], j + 1 == plan.mentor_len);
+    }
+    (plan.mentor_len > 0).then_some(transitions)
+}
+
+/// What actors and mentor-server would send, drawn at random.
+pub(crate) struct World {
+    rng: Stream,
+    /// The table that the mentor-server would have.
+    table: AnnotationTable,
+    plan: RunPlan,
+}
+
+impl World {
+    pub(crate) fn new(plan: &RunPlan, seed: u64) -> Self {
+        let table = AnnotationTable::new(plan.mentor_len, 2, N_ACTIONS as usize);
+        Self { rng: Stream::seed_from_u64(seed), table, plan: plan.clone() }
+    }
+
+    fn state(&mut self) -> [f32; 2] {
+        [0; 2].map(|_| self.rng.random_range(-4..=4) as f32)
+    }
+
+    /// A batch of `count` transitions of `actor`, and the answer to it.
+    pub(crate) fn batch(&mut self, actor: u32, count: u32) -> (Batch, Option<Observed>) {
+        let mut batch = Batch::default();
+        batch.prepare(BatchHeader { actor, count, obs_dim: 2, ..BatchHeader::default() });
+        for index in 0..count as usize {
+            let (obs, next_obs) = (self.state(), self.state());
+            let flags = match self.rng.random_range(0..10) {
+                0 => TERMINATED,
+                1 => TRUNCATED,
+                2 => FIRST,
+                _ => 0,
+            };
+            let action = self.rng.random_range(0..N_ACTIONS);
+            let reward = self.rng.random_range(-3..=3) as f32 * 0.5;
+            batch.set(index, &Transition { obs: &obs, next_obs: &next_obs, action, reward, flags });
+        }
+        let observed = (self.plan.mentor_len > 0).then(|| self.answer(count));
+        (batch, observed)
+    }
+
+    fn answer(&mut self, count: u32) -> Observed {
+        let len = self.plan.mentor_len as u32;
+        let mut observed = Observed::default();
+        for _ in 0..count {
+            let j = self.rng.random_range(0..len + 2);
+            observed.mentor.push(if j < len { j } else { NONE });
+        }
+        let j = self.rng.random_range(0..len) as usize;
+        let (action, reward) = (self.rng.random_range(0..N_ACTIONS), self.rng.random_range(-2..=2) as f32);
+        if self.rng.random() {
+            let e_kl = self.rng.random_range(0.0f32..0.3).min(self.table.errors()[j]);
+            self.table.set_estimate(j, &Estimate { action, e_kl, reward });
+        } else {
+            let (next_obs, terminated) = (self.state(), self.rng.next_u32().is_multiple_of(4));
+            let bridge = Bridge { action, length: 2, reward, end_kl: 0.0, next_obs: &next_obs, terminated };
+            self.table.set_bridge(j, &bridge);
+        }
+        self.table.encode(j, &mut observed.changed);
+        observed
+    }
+}

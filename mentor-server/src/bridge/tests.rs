@@ -1,0 +1,196 @@
+//! Bridges against Algorithm 1, over random walks of several actors.
+
+#![allow(clippy::unwrap_used)]
+
+use super::graph::Graph;
+use super::oracle::{self, Quality};
+use super::search::{Arrival, Search};
+use super::store::store;
+use super::{BridgeRule, Path, cells::Cells, straight};
+use crate::demonstration::Demonstration;
+use crate::history::History;
+use crate::metric::Metric;
+use crate::similarity::Similarity;
+use proptest::prelude::*;
+use trestle_proto::annotation::{AnnotationTable, Estimate};
+use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
+
+/// One observer step: actor, where it goes (0 to 3), reward, whether and how its episode ends, whether it jumps first.
+type Move = (u32, u8, i8, u8, bool);
+
+#[derive(Clone, Debug)]
+struct World {
+    mentor: Vec<Vec<(i8, i8)>>,
+    moves: Vec<Move>,
+    /// Size of the grid, and what its steps are multiplied with: 1 for whole cells, less where similarity reaches
+    /// farther than a step and is not transitive.
+    side: i8,
+    step: f32,
+    e_th: f32,
+    k: usize,
+    n: usize,
+    capacity: usize,
+}
+
+fn worlds() -> impl Strategy<Value = World> {
+    let cell = || (0i8..4, 0i8..4);
+    let mentor = proptest::collection::vec(proptest::collection::vec(cell(), 2..6), 1..3);
+    let moves =
+        proptest::collection::vec((0u32..3, 0u8..4, -1i8..2, 0u8..12, proptest::bool::weighted(0.05)), 1..70);
+    let shape = prop_oneof![Just((1.0f32, 0.1f32)), Just((0.4, 0.1)), Just((0.7, 0.25)), Just((1.0, 0.5))];
+    (mentor, moves, 2i8..5, shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]).prop_map(
+        |(mentor, moves, side, (step, e_th), k, n, capacity)| World {
+            mentor,
+            moves,
+            side,
+            step,
+            e_th,
+            k,
+            n,
+            capacity,
+        },
+    )
+}
+
+impl World {
+    fn demo(&self) -> Demonstration {
+        let mut demo = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
+        for part in &self.mentor {
+            let states: Vec<f32> = part.iter().flat_map(|&c| self.place(c)).collect();
+            demo.push_trajectory(&states, false).unwrap();
+        }
+        demo
+    }
+
+    fn place(&self, (x, y): (i8, i8)) -> [f32; 2] {
+        [f32::from(x) * self.step, f32::from(y) * self.step]
+    }
+}
+
+/// What the tests need of a mentor-server, without action inference, so that feasibility can be set at will.
+struct Bench {
+    metric: Metric,
+    history: History,
+    graph: Option<Graph>,
+    search: Search,
+    straight: straight::Scratch,
+}
+
+impl Bench {
+    fn new(demo: &Demonstration, e_th: f32, capacity: usize, cross_reference: bool) -> Self {
+        let order = demo.order();
+        Self {
+            history: History::new(capacity, 2),
+            graph: cross_reference.then(|| Graph::new(Cells::new(e_th, demo.states(), 2))),
+            search: Search::new(order.n_states(), order.n_transitions()),
+            straight: straight::Scratch::default(),
+            metric: Metric::diagonal(&[1.0, 1.0]).unwrap(),
+        }
+    }
+
+    fn observe(&mut self, actor: u32, t: &Transition<'_>, path: &Path<'_>, table: &mut AnnotationTable) {
+        let Self { metric, history, graph, search, straight } = self;
+        let (index, news) = store(history, graph.as_mut(), metric, actor, t);
+        if let Some(graph) = graph {
+            let new = Arrival { states: &history.states, graph, t: history.get(index), news };
+            search.run(&new, path, table, |_| ());
+        } else {
+            straight::search(history, index, path, table, straight, |_| ());
+        }
+    }
+}
+
+/// After every transition, each infeasible mentor transition's bridge is the best that has ever been in the history.
+fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
+    let demo = world.demo();
+    let order = demo.order();
+    let similarity = Similarity::new(demo.states().to_vec(), 2, world.e_th);
+    let rule = BridgeRule { k: world.k, n: world.n, e_infeas: 0.1 };
+    let path = Path { rule, order: &order, similarity: &similarity };
+    let mut table = AnnotationTable::new(order.n_transitions(), 2, 4);
+    let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
+    let mut ever: Vec<Option<Quality>> = vec![None; order.n_transitions()];
+    let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
+    let mut fresh = [true; 3];
+    for (i, &(actor, heading, reward, end, jump)) in world.moves.iter().enumerate() {
+        let a = actor as usize;
+        if jump {
+            // Without a flag: the history must notice by itself.
+            places[a] = (places[a].1, places[a].0);
+        }
+        let (dx, dy) = [(1, 0), (0, 1), (-1, 0), (0, -1)][heading as usize];
+        let inside = |x: i8| x.clamp(0, world.side - 1);
+        let next = (inside(places[a].0 + dx), inside(places[a].1 + dy));
+        let flags = match end {
+            0 => TERMINATED,
+            1 => TRUNCATED,
+            _ => 0,
+        } | if fresh[a] { FIRST } else { 0 };
+        let t = Transition {
+            obs: &world.place(places[a]),
+            next_obs: &world.place(next),
+            action: u32::from(heading),
+            reward: f32::from(reward),
+            flags,
+        };
+        bench.observe(actor, &t, &path, &mut table);
+        fresh[a] = end < 2;
+        places[a] = if end < 2 { (0, 0) } else { next };
+        if i == 40 {
+            // From here on no bridge is looked for there.
+            table.set_estimate(0, &Estimate { action: 0, e_kl: 0.0, reward: 0.0 });
+        }
+        for j in (0..order.n_transitions()).filter(|&j| table.errors()[j] >= rule.e_infeas) {
+            if let Some(now) = oracle::best(&bench.history, j, cross_reference, &path)
+                && ever[j].is_none_or(|best| now.beats(&best))
+            {
+                ever[j] = Some(now);
+            }
+            let stored =
+                table.bridge(j).map(|b| Quality { length: b.length, end_kl: b.end_kl, reward: b.reward });
+            prop_assert_eq!(stored, ever[j], "mentor transition {} after {} moves", j, i + 1);
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn a_level_beyond_the_limit_is_dropped_whatever_the_order() {
+    let mut demo = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
+    demo.push_trajectory(&[0.0, 0.0, 50.0, 50.0], false).unwrap();
+    let order = demo.order();
+    let similarity = Similarity::new(demo.states().to_vec(), 2, 0.1);
+    let path =
+        Path { rule: BridgeRule { k: 2, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
+    for (limit, place) in [(15, 0), (15, 10), (15, 19), (1000, 0), (1000, 19)] {
+        let mut table = AnnotationTable::new(1, 2, 4);
+        let mut bench = Bench::new(&demo, 0.1, 100, true);
+        bench.search.limit = limit;
+        let mut step = |obs: [f32; 2], next_obs: [f32; 2]| {
+            let t = Transition { obs: &obs, next_obs: &next_obs, action: 0, reward: 0.0, flags: FIRST };
+            bench.observe(0, &t, &path, &mut table);
+        };
+        // Twenty ways lead on from (9, 0), and one of them to the mentor's next state.
+        for i in 0..20 {
+            step([9.0, 0.0], if i == place { [50.0, 50.0] } else { [10.0 + i as f32, 20.0] });
+        }
+        step([0.0, 0.0], [9.0, 0.0]);
+        let length = table.bridge(0).map(|b| b.length);
+        assert_eq!(length, (limit == 1000).then_some(2), "limit {limit}, place {place}");
+        assert_eq!(bench.search.cut_short(), u64::from(limit == 15));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn straight_bridges_are_those_of_algorithm_1(world in worlds()) {
+        check(&world, false)?;
+    }
+
+    #[test]
+    fn cross_referenced_bridges_are_those_of_algorithm_1(world in worlds()) {
+        check(&world, true)?;
+    }
+}

@@ -1,0 +1,274 @@
+//! Action inference: for every mentor transition, the observer transition that came closest so far (paper, Fig. 1;
+//! the scan of all pairs is replaced by an exact index).
+//!
+//! The error of an observer transition (s, s') for a mentor transition (s_m, s'_m) is, by metric:
+//!
+//! - `kl` (the paper's): e = KL(s, s_m) + KL(s', s'_m);
+//! - `delta` (our choice): where KL(s, s_m) is up to `e_th`, the KL divergence of the changes s' - s and s'_m - s_m,
+//!   taken after whitening; no comparison elsewhere.
+//!
+//! A smaller error replaces action, error and reward. At exactly the same error the higher reward replaces action and
+//! reward (our choice). What is left is a function of the observer transitions in their order.
+//!
+//! For `kl` the pairs (s_m, s'_m) are points of a [`Tree`], and each of its nodes knows the largest error below it: a
+//! node whose box is farther away than that cannot improve anywhere. So the search gets cheaper as errors fall.
+
+use crate::demonstration::Order;
+use crate::metric::kl;
+use crate::similarity::{Hit, transitions};
+use crate::tree::Tree;
+use trestle_proto::annotation::{AnnotationTable, Estimate};
+use trestle_proto::config::MetricKind;
+
+/// An observer transition, as inference sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// s, whitened.
+    pub state: &'a [f32],
+    /// s', whitened.
+    pub next: &'a [f32],
+    /// The mentor states similar to s.
+    pub similar: &'a [Hit],
+    /// The action.
+    pub action: u32,
+    /// The reward.
+    pub reward: f32,
+}
+
+/// The index of a demonstration's transitions.
+#[derive(Clone, Debug)]
+pub struct Inference {
+    dim: usize,
+    rule: Rule,
+    stack: Vec<u32>,
+}
+
+#[derive(Clone, Debug)]
+enum Rule {
+    Kl {
+        /// s_m and s'_m side by side, a row for each transition.
+        pairs: Vec<f32>,
+        tree: Tree,
+        /// The leaf that holds each transition.
+        leaf: Vec<u32>,
+        /// The largest error below each node.
+        worst: Vec<f32>,
+    },
+    Delta {
+        /// s'_m - s_m of each transition.
+        changes: Vec<f32>,
+    },
+}
+
+impl Inference {
+    /// Indexes the transitions of `order` over `whitened` mentor states (row-major, `dim` features).
+    pub fn new(metric: MetricKind, whitened: &[f32], dim: usize, order: &Order) -> Self {
+        let ends = |j: usize| whitened[order.state_of(j) * dim..][..2 * dim].split_at(dim);
+        let rule = match metric {
+            MetricKind::Kl => {
+                let pairs: Vec<f32> =
+                    (0..order.n_transitions()).flat_map(|j| [ends(j).0, ends(j).1].concat()).collect();
+                let tree = Tree::new(&pairs, 2 * dim);
+                let mut leaf = vec![0; order.n_transitions()];
+                for (at, node) in tree.nodes().iter().enumerate().filter(|(_, node)| node.left == 0) {
+                    for &j in &tree.order()[node.start as usize..node.end as usize] {
+                        leaf[j as usize] = at as u32;
+                    }
+                }
+                let worst = vec![f32::INFINITY; tree.nodes().len()];
+                Rule::Kl { pairs, tree, leaf, worst }
+            }
+            MetricKind::Delta => {
+                let change = |j| ends(j).1.iter().zip(ends(j).0).map(|(b, a)| b - a).collect::<Vec<_>>();
+                Rule::Delta { changes: (0..order.n_transitions()).flat_map(change).collect() }
+            }
+        };
+        Self { dim, rule, stack: Vec::new() }
+    }
+
+    /// Takes over errors that were found elsewhere: one for each mentor transition.
+    pub fn restore(&mut self, errors: &[f32]) {
+        let Rule::Kl { tree, worst, .. } = &mut self.rule else { return };
+        // Parents come before their halves.
+        for at in (0..worst.len()).rev() {
+            worst[at] = worst_of(tree, worst, errors, at);
+        }
+    }
+
+    /// Compares an observer transition with every mentor transition and improves `table`. `improved` is called with
+    /// the number of each estimate that was replaced, its former error and its new one.
+    pub fn observe(
+        &mut self,
+        seen: &Observation<'_>,
+        order: &Order,
+        table: &mut AnnotationTable,
+        mut improved: impl FnMut(usize, f32, f32),
+    ) {
+        let dim = self.dim;
+        match &mut self.rule {
+            Rule::Kl { pairs, tree, leaf, worst } => {
+                self.stack.clear();
+                self.stack.push(0);
+                while let Some(at) = self.stack.pop() {
+                    let at = at as usize;
+                    let node = &tree.nodes()[at];
+                    if tree.lower_bound(at, seen.state, seen.next) > worst[at] {
+                        continue;
+                    }
+                    if node.left != 0 {
+                        self.stack.extend([node.left + 1, node.left]);
+                        continue;
+                    }
+                    for &j in &tree.order()[node.start as usize..node.end as usize] {
+                        let j = j as usize;
+                        let (s, next) = pairs[2 * j * dim..][..2 * dim].split_at(dim);
+                        let error = kl(seen.state, s) + kl(seen.next, next);
+                        let before = table.errors()[j];
+                        if improve(table, j, error, seen) {
+                            improved(j, before, error);
+                            if before == worst[leaf[j] as usize] {
+                                lower(tree, worst, table.errors(), leaf[j] as usize);
+                            }
+                        }
+                    }
+                }
+            }
+            Rule::Delta { changes } => {
+                for (j, _) in transitions(seen.similar, order) {
+                    let error = kl_of_changes(seen.state, seen.next, &changes[j * dim..][..dim]);
+                    let before = table.errors()[j];
+                    if improve(table, j, error, seen) {
+                        improved(j, before, error);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Half the squared distance between s' - s and `change`, summed in the order of the features.
+fn kl_of_changes(state: &[f32], next: &[f32], change: &[f32]) -> f32 {
+    let square = |((a, b), c): ((&f32, &f32), &f32)| ((b - a) - c) * ((b - a) - c);
+    0.5 * state.iter().zip(next).zip(change).map(square).sum::<f32>()
+}
+
+/// Replaces the estimate of `j` if `error` is smaller, or equal with a higher reward.
+fn improve(table: &mut AnnotationTable, j: usize, error: f32, seen: &Observation<'_>) -> bool {
+    let better = match table.estimate(j) {
+        Some(known) => error < known.e_kl || (error == known.e_kl && seen.reward > known.reward),
+        None => error < f32::INFINITY,
+    };
+    if better {
+        table.set_estimate(j, &Estimate { action: seen.action, e_kl: error, reward: seen.reward });
+    }
+    better
+}
+
+/// Brings the largest errors up to date from a leaf to the root, as far as they change.
+fn lower(tree: &Tree, worst: &mut [f32], errors: &[f32], leaf: usize) {
+    let mut at = leaf;
+    loop {
+        let largest = worst_of(tree, worst, errors, at);
+        if largest == worst[at] {
+            return;
+        }
+        worst[at] = largest;
+        if at == 0 {
+            return;
+        }
+        at = tree.nodes()[at].parent as usize;
+    }
+}
+
+fn worst_of(tree: &Tree, worst: &[f32], errors: &[f32], at: usize) -> f32 {
+    let node = &tree.nodes()[at];
+    if node.left != 0 {
+        return worst[node.left as usize].max(worst[node.left as usize + 1]);
+    }
+    let members = &tree.order()[node.start as usize..node.end as usize];
+    members.iter().map(|&j| errors[j as usize]).fold(0.0, f32::max)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::demonstration::Demonstration;
+    use crate::similarity::Similarity;
+    use proptest::prelude::*;
+
+    const E_TH: f32 = 0.6;
+
+    /// Every pair, as the paper has it.
+    fn naive(metric: MetricKind, demo: &Demonstration, seen: &Observation<'_>, table: &mut AnnotationTable) {
+        let mentor = demo.transitions();
+        for j in 0..mentor.len() {
+            let (s, next) = (mentor.state(j), mentor.next_state(j));
+            let error = match metric {
+                MetricKind::Kl => kl(seen.state, s) + kl(seen.next, next),
+                MetricKind::Delta if kl(seen.state, s) > E_TH => continue,
+                MetricKind::Delta => {
+                    let change = |a: &[f32], b: &[f32]| [b[0] - a[0], b[1] - a[1]];
+                    kl(&change(seen.state, seen.next), &change(s, next))
+                }
+            };
+            let known = table.estimate(j);
+            if known.is_none_or(|k| error < k.e_kl || (error == k.e_kl && seen.reward > k.reward)) {
+                table.set_estimate(j, &Estimate { action: seen.action, e_kl: error, reward: seen.reward });
+            }
+        }
+    }
+
+    fn point() -> impl Strategy<Value = [f32; 2]> {
+        // Whole numbers repeat and tie exactly; thirds do not.
+        prop_oneof![
+            (0i8..5, 0i8..5).prop_map(|(x, y)| [f32::from(x), f32::from(y)]),
+            (0i8..15, 0i8..15).prop_map(|(x, y)| [f32::from(x) / 3.0, f32::from(y) / 3.0]),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn equals_the_scan_of_all_pairs(
+            path in proptest::collection::vec(point(), 2..40),
+            walk in proptest::collection::vec((point(), point(), 0u32..4, -2i8..3), 1..60),
+            delta in any::<bool>(),
+            restored in 0usize..60,
+        ) {
+            let metric = if delta { MetricKind::Delta } else { MetricKind::Kl };
+            let mut demo = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
+            let half = path.len() / 2;
+            for part in [&path[..half], &path[half..]] {
+                _ = demo.push_trajectory(&part.concat(), false);
+            }
+            prop_assume!(demo.n_transitions() > 0);
+            let order = demo.order();
+            let similarity = Similarity::new(demo.states().to_vec(), 2, E_TH);
+            let mut inference = Inference::new(metric, demo.states(), 2, &order);
+            let mut table = AnnotationTable::new(order.n_transitions(), 2, 4);
+            let mut expected = table.clone();
+            let mut similar = Vec::new();
+            for (i, (state, next, action, reward)) in walk.iter().enumerate() {
+                if i == restored {
+                    inference = Inference::new(metric, demo.states(), 2, &order);
+                    inference.restore(table.errors());
+                }
+                similarity.states(state, &mut Vec::new(), &mut similar);
+                let seen = Observation {
+                    state, next, similar: &similar, action: *action, reward: f32::from(*reward),
+                };
+                let before = table.clone();
+                let mut named = Vec::new();
+                inference.observe(&seen, &order, &mut table, |j, old, new| named.push((j, old, new)));
+                naive(metric, &demo, &seen, &mut expected);
+                prop_assert_eq!(&table, &expected);
+                named.sort_by_key(|&(j, ..)| j);
+                let changed: Vec<_> = (0..table.len())
+                    .filter(|&j| before.estimate(j) != table.estimate(j))
+                    .map(|j| (j, before.errors()[j], table.errors()[j]))
+                    .collect();
+                prop_assert_eq!(named, changed);
+            }
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! The loop of the mentor-server's process: take requests, answer them, until told to leave.
+
+use crate::demonstration::Demonstration;
+use crate::mentor::{Mentor, MentorError};
+use trestle_proto::annotation::record_words;
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
+use trestle_proto::logging;
+use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, REBUILD, RESTORE};
+use trestle_proto::query::{
+    ANNOTATIONS, BRIDGE, MALFORMED, OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS, TRANSITIONS,
+    UNKNOWN_OP,
+};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::transport::{LinkError, MentorHandler, MentorLink, Stop};
+
+/// The mentor of `plan`'s run, of its demonstration.
+///
+/// # Errors
+/// Settings that do not meet the demonstration.
+pub fn mentor_of(plan: &RunPlan, demonstration: &Demonstration) -> Result<Mentor, MentorError> {
+    let config = &plan.config;
+    let (algo, seed) = (config.run.algo, config.run.seed);
+    Mentor::new(demonstration, &config.mentor, algo, &plan.spec, config.learner.replay, seed)
+}
+
+/// Serves the clients at the other end of `link` from `mentor` until `stop` says so.
+///
+/// # Errors
+/// The transport fails. A request that cannot be right is answered with its fault and does no harm.
+pub fn run(
+    link: &mut impl MentorLink,
+    plan: &RunPlan,
+    mentor: &mut Mentor,
+    stop: Stop<'_>,
+) -> Result<(), LinkError> {
+    let mut server = Server {
+        mentor,
+        obs_dim: plan.spec.obs_dim(),
+        n_actions: plan.spec.n_actions(),
+        batch: Batch::default(),
+        observed: Observed::default(),
+    };
+    link.hello(&mut server, stop)?;
+    tracing::info!("ready");
+    while !stop() {
+        link.serve(&mut server, WAIT_SLICE)?;
+    }
+    tracing::info!("leaving");
+    Ok(())
+}
+
+struct Server<'a> {
+    mentor: &'a mut Mentor,
+    obs_dim: usize,
+    n_actions: usize,
+    batch: Batch,
+    observed: Observed,
+}
+
+impl Server<'_> {
+    fn try_observe(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), u32> {
+        self.observed.clear();
+        if request.op == RESTORE {
+            return self.mentor.restore(payload).map_err(|e| refuse(&e));
+        }
+        let header = BatchHeader {
+            run: request.run,
+            tick: request.tick,
+            actor: request.actor,
+            count: request.count,
+            obs_dim: request.obs_dim,
+            ..BatchHeader::default()
+        };
+        self.batch.receive(header, payload, self.obs_dim, self.n_actions).map_err(|e| {
+            tracing::warn!("refused: {e}");
+            MALFORMED
+        })?;
+        let (first, actor) = (request.first_index, request.actor);
+        match request.op {
+            OBSERVE => self.mentor.observe(first, actor, &self.batch, &mut self.observed),
+            REBUILD => self.mentor.rebuild(first, actor, &self.batch),
+            _ => return Err(UNKNOWN_OP),
+        }
+        .map_err(|e| refuse(&e))
+    }
+
+    fn try_query(&mut self, request: &QueryRequest, state: &[f32], out: &mut Vec<u32>) -> Result<u32, u32> {
+        let about_a_state = matches!(request.op, SIMILAR | BRIDGE);
+        let wanted = if about_a_state { self.obs_dim } else { 0 };
+        if state.len() != wanted || state.iter().any(|x| !x.is_finite()) {
+            return Err(MALFORMED);
+        }
+        let (first, count) = (request.first, request.count);
+        if count > MAX_QUERY_ROWS {
+            return Err(OUT_OF_RANGE);
+        }
+        match request.op {
+            SIMILAR => self.mentor.similar(state, count as usize).map(|found| {
+                out.extend(found.iter().flat_map(|(j, kl)| [*j, kl.to_bits()]));
+                found.len() as u32
+            }),
+            BRIDGE => self.mentor.bridge(state, first, out).map(|()| u32::from(!out.is_empty())),
+            ANNOTATIONS => self.mentor.annotations(first, count, out).map(|()| count),
+            TRANSITIONS => self.mentor.transitions(first, count, out).map(|()| count),
+            STATS => {
+                out.extend_from_slice(bytemuck::cast_slice(&[self.mentor.stats()]));
+                Ok(1)
+            }
+            _ => return Err(UNKNOWN_OP),
+        }
+        .map_err(|e| refuse(&e))
+    }
+}
+
+fn refuse(error: &MentorError) -> u32 {
+    tracing::warn!("refused: {error}");
+    error.status()
+}
+
+impl MentorHandler for Server<'_> {
+    fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
+        logging::set_tick(request.tick);
+        let first_index = request.first_index;
+        match self.try_observe(request, payload) {
+            Ok(()) => {
+                let count = self.observed.mentor.len() as u32;
+                let changed = (self.observed.changed.len() / record_words(self.obs_dim)) as u32;
+                out.extend_from_slice(&self.observed.mentor);
+                out.extend_from_slice(&self.observed.changed);
+                ObserveAnswer { first_index, status: OK, count, changed, reserved: 0 }
+            }
+            Err(status) => ObserveAnswer { first_index, status, ..ObserveAnswer::default() },
+        }
+    }
+
+    fn query(&mut self, request: &QueryRequest, state: &[f32], out: &mut Vec<u32>) -> QueryAnswer {
+        match self.try_query(request, state, out) {
+            Ok(count) => QueryAnswer { status: OK, count },
+            Err(status) => {
+                out.clear();
+                QueryAnswer { status, count: 0 }
+            }
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! Annotations: what the observer has found out about each mentor transition.
+//!
+//! The mentor-server owns the table; the learner keeps a mirror, brought up to date by the changed records of every
+//! answer. A record travels as [`record_words`] 32-bit words: mentor index, a_est, e_KL (`f32`), r_est (`f32`),
+//! l_feas, a_feas, r_feas (`f32`), end KL (`f32`), bridge flags, then the `obs_dim` features of s_feas (`f32`).
+
+use crate::NONE;
+use bytemuck::{cast_slice, cast_slice_mut};
+
+const FIXED_WORDS: usize = 9;
+/// The bridge's first step ended its episode in a terminal state, so s_feas has no value.
+const FEAS_TERMINATED: u32 = 1;
+
+/// Words of one record for observations of `obs_dim` features.
+pub const fn record_words(obs_dim: usize) -> usize {
+    FIXED_WORDS + obs_dim
+}
+
+/// The best estimate of the mentor's action (paper, Fig. 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// a_est: the observer's action whose transition came closest.
+    pub action: u32,
+    /// e_KL of that transition, not negative.
+    pub e_kl: f32,
+    /// r_est: the reward that the observer got for it (ties keep the higher).
+    pub reward: f32,
+}
+
+/// The shortest bridge so far (paper, Fig. 4).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bridge<'a> {
+    /// a_feas: its first action.
+    pub action: u32,
+    /// l_feas: its length in observer steps, at least 1.
+    pub length: u32,
+    /// r_feas: the reward of its first step.
+    pub reward: f32,
+    /// KL between its last state and the mentor state that it reached: among equally long ones the smaller wins.
+    pub end_kl: f32,
+    /// s_feas: the state after its first step, `obs_dim` features.
+    pub next_obs: &'a [f32],
+    /// Whether s_feas is terminal.
+    pub terminated: bool,
+}
+
+/// A record of a peer that cannot be right.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AnnotationError {
+    /// The words are not a whole number of records.
+    #[error("{found} words of annotations are not a multiple of {record} (one record)")]
+    Size {
+        /// Words received.
+        found: usize,
+        /// Words of a record.
+        record: usize,
+    },
+    /// Index, action, length or a number is out of range.
+    #[error("annotation of mentor transition {mentor}: {what} is {value}; accepted: {accepted}")]
+    Field {
+        /// Index of the mentor transition.
+        mentor: u32,
+        /// Which field.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is accepted.
+        accepted: String,
+    },
+}
+
+/// The annotations of all mentor transitions, one array a field.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnnotationTable {
+    obs_dim: usize,
+    n_actions: usize,
+    a_est: Vec<u32>,
+    e_kl: Vec<f32>,
+    r_est: Vec<f32>,
+    l_feas: Vec<u32>,
+    a_feas: Vec<u32>,
+    r_feas: Vec<f32>,
+    end_kl: Vec<f32>,
+    flags: Vec<u32>,
+    s_feas: Vec<f32>,
+}
+
+impl AnnotationTable {
+    /// `len` mentor transitions of which nothing is known.
+    pub fn new(len: usize, obs_dim: usize, n_actions: usize) -> Self {
+        Self {
+            obs_dim,
+            n_actions,
+            a_est: vec![NONE; len],
+            e_kl: vec![f32::INFINITY; len],
+            r_est: vec![0.0; len],
+            l_feas: vec![0; len],
+            a_feas: vec![NONE; len],
+            r_feas: vec![0.0; len],
+            end_kl: vec![f32::INFINITY; len],
+            flags: vec![0; len],
+            s_feas: vec![0.0; len * obs_dim],
+        }
+    }
+
+    /// Number of mentor transitions.
+    pub fn len(&self) -> usize {
+        self.a_est.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.a_est.is_empty()
+    }
+
+    /// e_KL of every mentor transition; infinite where nothing is known.
+    pub fn errors(&self) -> &[f32] {
+        &self.e_kl
+    }
+
+    /// The best estimate of mentor transition `j`'s action; none before the first observer transition.
+    pub fn estimate(&self, j: usize) -> Option<Estimate> {
+        (self.a_est[j] != NONE).then(|| Estimate {
+            action: self.a_est[j],
+            e_kl: self.e_kl[j],
+            reward: self.r_est[j],
+        })
+    }
+
+    /// The shortest bridge from mentor transition `j`'s state, if one has been found.
+    pub fn bridge(&self, j: usize) -> Option<Bridge<'_>> {
+        (self.l_feas[j] != 0).then(|| Bridge {
+            action: self.a_feas[j],
+            length: self.l_feas[j],
+            reward: self.r_feas[j],
+            end_kl: self.end_kl[j],
+            next_obs: &self.s_feas[j * self.obs_dim..][..self.obs_dim],
+            terminated: self.flags[j] & FEAS_TERMINATED != 0,
+        })
+    }
+
+    /// Replaces the estimate of mentor transition `j`.
+    pub fn set_estimate(&mut self, j: usize, estimate: &Estimate) {
+        self.a_est[j] = estimate.action;
+        self.e_kl[j] = estimate.e_kl;
+        self.r_est[j] = estimate.reward;
+    }
+
+    /// Replaces the bridge of mentor transition `j`.
+    pub fn set_bridge(&mut self, j: usize, bridge: &Bridge<'_>) {
+        self.l_feas[j] = bridge.length;
+        self.a_feas[j] = bridge.action;
+        self.r_feas[j] = bridge.reward;
+        self.end_kl[j] = bridge.end_kl;
+        self.flags[j] = if bridge.terminated { FEAS_TERMINATED } else { 0 };
+        self.s_feas[j * self.obs_dim..][..self.obs_dim].copy_from_slice(bridge.next_obs);
+    }
+
+    /// Appends the record of mentor transition `j` to `out`.
+    pub fn encode(&self, j: usize, out: &mut Vec<u32>) {
+        out.extend_from_slice(&[
+            j as u32,
+            self.a_est[j],
+            self.e_kl[j].to_bits(),
+            self.r_est[j].to_bits(),
+            self.l_feas[j],
+            self.a_feas[j],
+            self.r_feas[j].to_bits(),
+            self.end_kl[j].to_bits(),
+            self.flags[j],
+        ]);
+        out.extend_from_slice(cast_slice(&self.s_feas[j * self.obs_dim..][..self.obs_dim]));
+    }
+
+    /// Takes over the records that a peer sent, each checked before it is written.
+    ///
+    /// # Errors
+    /// The first record that cannot be right; those before it have been taken over.
+    pub fn apply(&mut self, words: &[u32]) -> Result<(), AnnotationError> {
+        let record = record_words(self.obs_dim);
+        if !words.len().is_multiple_of(record) {
+            return Err(AnnotationError::Size { found: words.len(), record });
+        }
+        for r in words.chunks_exact(record) {
+            self.check(r)?;
+            let j = r[0] as usize;
+            self.a_est[j] = r[1];
+            self.e_kl[j] = f32::from_bits(r[2]);
+            self.r_est[j] = f32::from_bits(r[3]);
+            self.l_feas[j] = r[4];
+            self.a_feas[j] = r[5];
+            self.r_feas[j] = f32::from_bits(r[6]);
+            self.end_kl[j] = f32::from_bits(r[7]);
+            self.flags[j] = r[8];
+            let s = &mut self.s_feas[j * self.obs_dim..][..self.obs_dim];
+            cast_slice_mut::<f32, u32>(s).copy_from_slice(&r[FIXED_WORDS..]);
+        }
+        Ok(())
+    }
+
+    fn check(&self, r: &[u32]) -> Result<(), AnnotationError> {
+        let refuse = |what, value: f64, accepted: String| {
+            Err(AnnotationError::Field { mentor: r[0], what, value, accepted })
+        };
+        if r[0] as usize >= self.len() {
+            return refuse("index", f64::from(r[0]), format!("below {}", self.len()));
+        }
+        for (what, action) in [("a_est", r[1]), ("a_feas", r[5])] {
+            if action != NONE && action as usize >= self.n_actions {
+                return refuse(what, f64::from(action), format!("below {}, or none", self.n_actions));
+            }
+        }
+        for (what, word) in [("e_KL", r[2]), ("end KL", r[7])] {
+            let kl = f32::from_bits(word);
+            if kl.is_nan() || kl < 0.0 {
+                return refuse(what, f64::from(kl), "0 or more".into());
+            }
+        }
+        for (what, word) in [("r_est", r[3]), ("r_feas", r[6])] {
+            let reward = f32::from_bits(word);
+            if !reward.is_finite() {
+                return refuse(what, f64::from(reward), "finite numbers".into());
+            }
+        }
+        if (r[4] == 0) != (r[5] == NONE) {
+            return refuse("l_feas", f64::from(r[4]), "0 exactly where a_feas is none".into());
+        }
+        if r[8] & !FEAS_TERMINATED != 0 {
+            return refuse("flags", f64::from(r[8]), "0 or 1".into());
+        }
+        match r[FIXED_WORDS..].iter().map(|&w| f32::from_bits(w)).find(|x| !x.is_finite()) {
+            Some(x) => refuse("s_feas", f64::from(x), "finite numbers".into()),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn records_survive_the_journey() {
+        let mut table = AnnotationTable::new(3, 2, 4);
+        assert_eq!(table.estimate(1), None);
+        assert_eq!(table.bridge(1), None);
+        table.set_estimate(1, &Estimate { action: 2, e_kl: 0.25, reward: -0.04 });
+        let bridge = Bridge {
+            action: 3,
+            length: 4,
+            reward: 1.0,
+            end_kl: 0.125,
+            next_obs: &[5.0, 6.0],
+            terminated: true,
+        };
+        table.set_bridge(1, &bridge);
+        let mut words = Vec::new();
+        table.encode(1, &mut words);
+        assert_eq!(words.len(), record_words(2));
+        let mut mirror = AnnotationTable::new(3, 2, 4);
+        mirror.apply(&words).unwrap();
+        assert_eq!(mirror, table);
+        assert_eq!(mirror.bridge(1), Some(bridge));
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_records_are_refused_or_sound(words in proptest::collection::vec(any::<u32>(), 0..40)) {
+            let mut table = AnnotationTable::new(5, 2, 4);
+            if table.apply(&words).is_ok() {
+                for j in 0..5 {
+                    prop_assert!(table.estimate(j).is_none_or(|e| e.action < 4 && e.e_kl >= 0.0));
+                    prop_assert!(table.bridge(j).is_none_or(|b| b.action < 4 && b.length > 0));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,357 @@
+//! A batch of transitions: what an actor sends after each tick, and what the replay and the mentor-server read.
+//!
+//! Layout of the payload, `count` transitions of `obs_dim` features, in 32-bit words, as a structure of arrays:
+//!
+//! | words | what |
+//! |---|---|
+//! | `count * obs_dim` | observations s, `f32` |
+//! | `count * obs_dim` | next observations s', `f32` (the state reached, also where the episode ends) |
+//! | `count` | actions, `u32` |
+//! | `count` | rewards, `f32` |
+//! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`] |
+
+use crate::limits::MAX_ROLLOUT;
+use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use iceoryx2::prelude::ZeroCopySend;
+
+/// The episode ended in a terminal state: its value is 0.
+pub const TERMINATED: u32 = 1;
+/// The episode was cut off by a limit: its last state still has a value.
+pub const TRUNCATED: u32 = 2;
+/// The transition is the first of its episode (or of its actor's life).
+pub const FIRST: u32 = 4;
+const KNOWN_FLAGS: u32 = TERMINATED | TRUNCATED | FIRST;
+
+/// Words that a batch of `count` transitions of `obs_dim` features takes.
+pub const fn words(count: usize, obs_dim: usize) -> usize {
+    count * (2 * obs_dim + 3)
+}
+
+/// What is sent beside a batch's payload.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("trestle.BatchHeader.v1")]
+pub struct BatchHeader {
+    /// Identity of the run: batches of another run are refused.
+    pub run: u64,
+    /// The tick that asked for this batch.
+    pub tick: u64,
+    /// The actor's own number of the first transition, counted from 0.
+    pub first_seq: u64,
+    /// Version of the weights that chose the actions.
+    pub weights_version: u64,
+    /// Index of the actor, from 0.
+    pub actor: u32,
+    /// How often this actor has been replaced, from 0.
+    pub incarnation: u32,
+    /// Transitions in the batch.
+    pub count: u32,
+    /// Features of an observation.
+    pub obs_dim: u32,
+}
+
+/// A batch whose header, size or contents cannot be right.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BatchError {
+    /// The number of transitions is out of range.
+    #[error("batch of actor {actor} has {count} transitions; accepted: 1 to {MAX_ROLLOUT}")]
+    Count {
+        /// The sender.
+        actor: u32,
+        /// What its header says.
+        count: u32,
+    },
+    /// The observation size is not the run's.
+    #[error("batch of actor {actor} has observations of {found} features; this run's have {expected}")]
+    ObsDim {
+        /// The sender.
+        actor: u32,
+        /// What its header says.
+        found: u32,
+        /// The run's.
+        expected: usize,
+    },
+    /// The payload's size does not follow from the header.
+    #[error("batch of actor {actor} has {found} words of payload; its header asks for {expected}")]
+    Size {
+        /// The sender.
+        actor: u32,
+        /// Words received.
+        found: usize,
+        /// Words announced.
+        expected: usize,
+    },
+    /// A number in an observation or a reward is NaN or infinite.
+    #[error("transition {index} of actor {actor} has a {what} that is not finite")]
+    NotFinite {
+        /// The sender.
+        actor: u32,
+        /// Which transition of the batch.
+        index: usize,
+        /// `observation`, `next observation` or `reward`.
+        what: &'static str,
+    },
+    /// An action outside the action space.
+    #[error("transition {index} of actor {actor} has action {action}; accepted: 0 to {last}")]
+    Action {
+        /// The sender.
+        actor: u32,
+        /// Which transition of the batch.
+        index: usize,
+        /// The action.
+        action: u32,
+        /// The largest action.
+        last: usize,
+    },
+    /// Unknown flag bits.
+    #[error("transition {index} of actor {actor} has flags {flags:#x}; accepted: any of {KNOWN_FLAGS:#x}")]
+    Flags {
+        /// The sender.
+        actor: u32,
+        /// Which transition of the batch.
+        index: usize,
+        /// The flags.
+        flags: u32,
+    },
+}
+
+/// One transition of a batch, by reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transition<'a> {
+    /// State s_o before the step, `obs_dim` features.
+    pub obs: &'a [f32],
+    /// State s'_o after the step.
+    pub next_obs: &'a [f32],
+    /// Action a_o.
+    pub action: u32,
+    /// Reward r_o.
+    pub reward: f32,
+    /// [`TERMINATED`] | [`TRUNCATED`] | [`FIRST`].
+    pub flags: u32,
+}
+
+impl Transition<'_> {
+    /// Whether the episode ended with this step, for whichever reason.
+    pub fn ends_episode(&self) -> bool {
+        self.flags & (TERMINATED | TRUNCATED) != 0
+    }
+
+    /// Whether s' is terminal and so has no value.
+    pub fn terminated(&self) -> bool {
+        self.flags & TERMINATED != 0
+    }
+}
+
+/// A batch in private memory: filled by an actor, or copied from shared memory and checked at the door (a copy,
+/// because a peer could still write to what it has sent).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// The header that travels with it.
+    pub header: BatchHeader,
+    payload: Vec<u32>,
+}
+
+impl Batch {
+    /// An empty batch with room for `count` transitions of `obs_dim` features.
+    pub fn with_capacity(count: usize, obs_dim: usize) -> Self {
+        Self { header: BatchHeader::default(), payload: Vec::with_capacity(words(count, obs_dim)) }
+    }
+
+    /// Takes `header` and makes the payload fit it, all zero. Allocates only when the batch has never been so large.
+    pub fn prepare(&mut self, header: BatchHeader) {
+        self.header = header;
+        self.payload.clear();
+        self.payload.resize(words(header.count as usize, header.obs_dim as usize), 0);
+    }
+
+    /// Writes transition `index` (below `header.count`) of a prepared batch.
+    pub fn set(&mut self, index: usize, transition: &Transition<'_>) {
+        let (n, d) = (self.len(), self.obs_dim());
+        let (obs, rest) = self.payload.split_at_mut(n * d);
+        let (next, rest) = rest.split_at_mut(n * d);
+        cast_slice_mut::<u32, f32>(obs)[index * d..][..d].copy_from_slice(transition.obs);
+        cast_slice_mut::<u32, f32>(next)[index * d..][..d].copy_from_slice(transition.next_obs);
+        rest[index] = transition.action;
+        rest[n + index] = transition.reward.to_bits();
+        rest[2 * n + index] = transition.flags;
+    }
+
+    /// Copies what a peer sent and checks all of it. On an error the batch holds nothing usable.
+    pub fn receive(
+        &mut self,
+        header: BatchHeader,
+        payload: &[u32],
+        obs_dim: usize,
+        n_actions: usize,
+    ) -> Result<(), BatchError> {
+        let actor = header.actor;
+        if header.count == 0 || header.count > MAX_ROLLOUT {
+            return Err(BatchError::Count { actor, count: header.count });
+        }
+        if header.obs_dim as usize != obs_dim {
+            return Err(BatchError::ObsDim { actor, found: header.obs_dim, expected: obs_dim });
+        }
+        let expected = words(header.count as usize, obs_dim);
+        if payload.len() != expected {
+            return Err(BatchError::Size { actor, found: payload.len(), expected });
+        }
+        self.header = header;
+        self.payload.clear();
+        self.payload.extend_from_slice(payload);
+        self.validate(n_actions)
+    }
+
+    fn validate(&self, n_actions: usize) -> Result<(), BatchError> {
+        let actor = self.header.actor;
+        for index in 0..self.len() {
+            let t = self.transition(index);
+            let fault = if !t.obs.iter().all(|x| x.is_finite()) {
+                Some("observation")
+            } else if !t.next_obs.iter().all(|x| x.is_finite()) {
+                Some("next observation")
+            } else if !t.reward.is_finite() {
+                Some("reward")
+            } else {
+                None
+            };
+            if let Some(what) = fault {
+                return Err(BatchError::NotFinite { actor, index, what });
+            }
+            if t.action as usize >= n_actions {
+                return Err(BatchError::Action { actor, index, action: t.action, last: n_actions - 1 });
+            }
+            if t.flags & !KNOWN_FLAGS != 0 {
+                return Err(BatchError::Flags { actor, index, flags: t.flags });
+            }
+        }
+        Ok(())
+    }
+
+    /// Number of transitions.
+    pub fn len(&self) -> usize {
+        self.header.count as usize
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.header.count == 0
+    }
+
+    /// Features of an observation.
+    pub fn obs_dim(&self) -> usize {
+        self.header.obs_dim as usize
+    }
+
+    /// The payload as it travels.
+    pub fn payload(&self) -> &[u32] {
+        &self.payload
+    }
+
+    /// All observations s, `len * obs_dim`, row-major.
+    pub fn observations(&self) -> &[f32] {
+        cast_slice(&self.payload[..self.len() * self.obs_dim()])
+    }
+
+    /// All next observations s', `len * obs_dim`, row-major.
+    pub fn next_observations(&self) -> &[f32] {
+        let n = self.len() * self.obs_dim();
+        cast_slice(&self.payload[n..2 * n])
+    }
+
+    /// All actions, `len`.
+    pub fn actions(&self) -> &[u32] {
+        &self.payload[self.tail(0)..self.tail(1)]
+    }
+
+    /// All rewards, `len`.
+    pub fn rewards(&self) -> &[f32] {
+        cast_slice(&self.payload[self.tail(1)..self.tail(2)])
+    }
+
+    /// All flags, `len`.
+    pub fn flags(&self) -> &[u32] {
+        &self.payload[self.tail(2)..self.tail(3)]
+    }
+
+    /// Where the `part`-th of the per-transition arrays begins.
+    fn tail(&self, part: usize) -> usize {
+        self.len() * (2 * self.obs_dim() + part)
+    }
+
+    /// Transition `index`, below [`Batch::len`].
+    pub fn transition(&self, index: usize) -> Transition<'_> {
+        let d = self.obs_dim();
+        Transition {
+            obs: &self.observations()[index * d..][..d],
+            next_obs: &self.next_observations()[index * d..][..d],
+            action: self.actions()[index],
+            reward: self.rewards()[index],
+            flags: self.flags()[index],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use proptest::prelude::*;
+
+    fn sample(count: u32, obs_dim: u32) -> Batch {
+        let mut batch = Batch::default();
+        batch.prepare(BatchHeader { count, obs_dim, ..BatchHeader::default() });
+        for i in 0..count as usize {
+            let obs: Vec<f32> = (0..obs_dim).map(|k| (i * 100) as f32 + k as f32).collect();
+            let next: Vec<f32> = obs.iter().map(|x| x + 0.5).collect();
+            let flags = if i == 0 { FIRST } else { 0 };
+            batch.set(
+                i,
+                &Transition { obs: &obs, next_obs: &next, action: i as u32 % 4, reward: -(i as f32), flags },
+            );
+        }
+        batch
+    }
+
+    #[test]
+    fn what_is_sent_arrives() {
+        let sent = sample(5, 3);
+        let mut got = Batch::default();
+        got.receive(sent.header, sent.payload(), 3, 4).unwrap();
+        assert_eq!(got, sent);
+        let last = got.transition(4);
+        assert_eq!(last.obs, [400.0, 401.0, 402.0]);
+        assert_eq!(last.next_obs, [400.5, 401.5, 402.5]);
+        assert_eq!((last.action, last.reward, last.flags), (0, -4.0, 0));
+    }
+
+    #[test]
+    fn each_fault_is_named() {
+        let sent = sample(2, 2);
+        let mut got = Batch::default();
+        let mut check = |edit: &dyn Fn(&mut BatchHeader, &mut Vec<u32>)| {
+            let (mut header, mut payload) = (sent.header, sent.payload().to_vec());
+            edit(&mut header, &mut payload);
+            got.receive(header, &payload, 2, 4).unwrap_err().to_string()
+        };
+        assert!(check(&|h, _| h.count = 0).contains("0 transitions"));
+        assert!(check(&|h, _| h.count = 1 << 20).contains("1048576 transitions"));
+        assert!(check(&|h, _| h.obs_dim = 9).contains("9 features"));
+        assert!(check(&|_, p| _ = p.pop()).contains("13 words"));
+        assert!(check(&|_, p| p[0] = f32::NAN.to_bits()).contains("observation that is not finite"));
+        assert!(check(&|_, p| p[5] = f32::INFINITY.to_bits()).contains("next observation"));
+        assert!(check(&|_, p| p[8] = 4).contains("action 4"));
+        assert!(check(&|_, p| p[10] = f32::NAN.to_bits()).contains("reward"));
+        assert!(check(&|_, p| p[13] = 64).contains("flags 0x40"));
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(
+            header in any::<[u8; std::mem::size_of::<BatchHeader>()]>(),
+            payload in proptest::collection::vec(any::<u32>(), 0..64),
+        ) {
+            let header: BatchHeader = bytemuck::pod_read_unaligned(&header);
+            let _ = Batch::default().receive(header, &payload, 2, 4);
+        }
+    }
+}

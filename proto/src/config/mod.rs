@@ -1,0 +1,413 @@
+//! The resolved configuration of a run: every setting, its default, its range.
+//!
+//! A configuration is a preset or a TOML file (which may name a preset as its `base`), then `key=value` overrides.
+//! What is left out has the default of this file. Unknown keys, wrong types and values out of range are refused.
+
+mod load;
+mod validate;
+
+pub use load::{ConfigError, PRESETS, load, parse_toml, to_toml};
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// All settings of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// What is run, how long and over how many processes.
+    pub run: Run,
+    /// The environment.
+    pub env: Env,
+    /// ε-greedy exploration.
+    pub exploration: Exploration,
+    /// Replay, network and gradient steps.
+    pub learner: Learner,
+    /// Demonstration and imitation.
+    pub mentor: Mentor,
+    /// Greedy evaluations and when the task counts as solved.
+    pub eval: Eval,
+    /// Checkpoints.
+    pub checkpoint: Checkpoint,
+}
+
+/// `[run]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Run {
+    /// The algorithm.
+    pub algo: Algo,
+    /// Seed of every random stream, 0 to 2^63 - 1.
+    pub seed: u64,
+    /// The run ends with this many finished episodes (1 or more) ...
+    pub episodes: Option<u64>,
+    /// ... or this many environment steps over all actors, whichever comes first. At least one must be given.
+    pub env_steps: Option<u64>,
+    /// How the processes work together.
+    pub mode: Mode,
+    /// Actor processes, 1 to 64.
+    pub actors: u32,
+    /// Environment steps that each actor takes in a tick, 1 to 4096.
+    pub rollout: u32,
+    /// 0: actors wait for the newest weights. 1: they collect with those before, while the learner trains.
+    pub lag: u32,
+}
+
+/// The algorithms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algo {
+    /// Deep Q-network, no mentor (Mnih et al. 2015).
+    Dqn,
+    /// Deep implicit imitation Q-network: every mentor transition counts as feasible.
+    Diiqn,
+    /// Heterogeneous-action DIIQN: feasibility and bridges.
+    HaDiiqn,
+}
+
+impl Algo {
+    /// Its name in configurations and results.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Dqn => "dqn",
+            Self::Diiqn => "diiqn",
+            Self::HaDiiqn => "ha-diiqn",
+        }
+    }
+
+    /// Whether it learns from a mentor.
+    pub fn has_mentor(self) -> bool {
+        self != Self::Dqn
+    }
+}
+
+/// How the processes of a run work together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// Tick by tick: the result depends on the configuration alone.
+    Lockstep,
+    /// The same algorithm in one process, without services: the oracle of `lockstep`.
+    Reference,
+}
+
+/// `[env]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Env {
+    /// Which environment.
+    pub kind: EnvKind,
+    /// The map: a built-in name, a file, or `random:<seed>:<columns>x<rows>`.
+    pub map: String,
+    /// The map's text itself; filled in when the configuration is resolved, so that a run needs no other file.
+    pub layout: Option<String>,
+    /// Name of the observer's action set.
+    pub actions: String,
+    /// Action sets besides the built-in `regular` and `irregular`: names of compass directions.
+    pub action_sets: BTreeMap<String, Vec<String>>,
+    /// Steps after which an episode is cut off, 1 or more.
+    pub step_limit: u32,
+    /// What the network sees of a state.
+    pub encoding: EncodingKind,
+}
+
+/// The environments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EnvKind {
+    /// A maze of cells.
+    Maze,
+}
+
+/// How a state becomes the network's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EncodingKind {
+    /// Each feature scaled to [-1, 1].
+    Coordinates,
+    /// Each (whole-numbered) feature as a one-hot vector.
+    OneHot,
+}
+
+/// `[exploration]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Exploration {
+    /// ε at the first step, 0 to 1.
+    pub epsilon_start: f64,
+    /// ε from `epsilon_decay_steps` on, 0 to 1.
+    pub epsilon_end: f64,
+    /// Environment steps of all actors over which ε falls linearly.
+    pub epsilon_decay_steps: u64,
+}
+
+/// `[learner]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Learner {
+    /// Units of the hidden layers, one to six of them, each 1 to 4096.
+    pub hidden: Vec<usize>,
+    /// Discount γ, 0 to 1.
+    pub gamma: f64,
+    /// Adam's learning rate, above 0.
+    pub lr: f64,
+    /// Adam's decay of the first moment, 0 to below 1.
+    pub adam_beta1: f64,
+    /// Adam's decay of the second moment, 0 to below 1.
+    pub adam_beta2: f64,
+    /// Adam's ε, above 0.
+    pub adam_eps: f64,
+    /// Largest norm of the whole gradient; 0 for no clipping.
+    pub max_grad_norm: f64,
+    /// Samples of a gradient step, 1 to 1024.
+    pub batch: usize,
+    /// Environment steps before the first gradient step, at least `batch`.
+    pub warmup: u64,
+    /// Environment steps for each gradient step, 1 or more.
+    pub train_every: u64,
+    /// Transitions that the replay holds, at least `batch`.
+    pub replay: usize,
+    /// How the target network follows.
+    pub target: TargetKind,
+    /// `hard`: gradient steps between copies.
+    pub target_every: u64,
+    /// `polyak`: share of the online weights that each gradient step mixes in, above 0 to 1.
+    pub tau: f64,
+    /// Double DQN: the online network chooses the next action, the target network values it.
+    pub double: bool,
+    /// The loss of a sample.
+    pub loss: LossKind,
+    /// `huber`: error at which it turns from quadratic to linear, above 0.
+    pub huber_delta: f64,
+    /// What computes the gradient.
+    pub backend: Backend,
+}
+
+/// How the target network follows the online network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TargetKind {
+    /// A copy every `target_every` gradient steps.
+    Hard,
+    /// θ- <- (1 - τ) θ- + τ θ after every gradient step.
+    Polyak,
+}
+
+/// The loss of a sample, of its error e = target - Q.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LossKind {
+    /// Quadratic near 0, linear beyond `huber_delta`.
+    Huber,
+    /// e^2, as the paper writes it.
+    Squared,
+}
+
+/// What computes the gradient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Backend {
+    /// Trestle's own kernels.
+    Kernels,
+    /// candle's automatic differentiation: slower, for comparison.
+    Candle,
+}
+
+/// `[mentor]`, unused by `dqn`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mentor {
+    /// `plan` (an optimal path through the maze), or a CSV file of states.
+    pub demo: String,
+    /// `plan`: name of the mentor's action set.
+    pub actions: String,
+    /// What e_KL compares.
+    pub metric: MetricKind,
+    /// The covariance Σ of the state distance.
+    pub covariance: CovarianceKind,
+    /// Smallest standard deviation of a feature that is estimated from a demonstration, above 0.
+    pub sigma_floor: f64,
+    /// States are similar up to this KL divergence, above 0.
+    pub e_th: f64,
+    /// A mentor transition is feasible below this e_KL, above 0.
+    pub e_infeas: f64,
+    /// Most observer steps of a bridge, 1 to 64.
+    pub k: u32,
+    /// Most mentor steps that a bridge may span, 1 to 64.
+    pub n: u32,
+    /// Whether bridges are looked for (`ha-diiqn`); without them infeasible transitions are only gated off.
+    pub bridges: bool,
+    /// Whether a bridge may go on from any similar stored state (paper, Fig. 5).
+    pub cross_reference: bool,
+    /// The reward in the mentor's loss.
+    pub reward: RewardKind,
+    /// How a sample's loss is chosen.
+    pub selection: SelectionKind,
+    /// `confidence`: steepness β of the sigmoid, above 0.
+    pub beta: f64,
+    /// `confidence`: training count c_max at which a mentor state is fully trusted, 1 or more.
+    pub c_max: u64,
+    /// `confidence`: e_KL at which trust is gone, above 0.
+    pub e_max: f64,
+}
+
+/// What e_KL compares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MetricKind {
+    /// KL(s_o, s_m) + KL(s'_o, s'_m), as in the paper.
+    Kl,
+    /// KL of the changes s' - s, where s_o and s_m are similar; no comparison elsewhere.
+    Delta,
+}
+
+/// The covariance of the state distance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CovarianceKind {
+    /// Diagonal, from the environment's feature scales.
+    Space,
+    /// Diagonal, the variances of the demonstration's states.
+    Demonstration,
+    /// The full covariance of the demonstration's states.
+    Full,
+}
+
+/// The reward in the mentor's loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RewardKind {
+    /// What the observer got when it took a_est, or the bridge's first step.
+    Matched,
+    /// The sampled observer transition's own reward, as the paper writes (3) and (6).
+    Observer,
+}
+
+/// How a sample's loss is chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SelectionKind {
+    /// The loss whose Q-value moved less, (4) and (5).
+    MinDistance,
+    /// Both, weighted by the confidence Φ in the mentor (arXiv 2511.03616).
+    Confidence,
+}
+
+/// `[eval]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Eval {
+    /// Finished episodes between greedy evaluations, 1 or more.
+    pub every: u64,
+    /// Greedy episodes of an evaluation, 1 to 4096.
+    pub episodes: u32,
+    /// Return that counts as the goal; without it the best possible return, where the environment knows it.
+    pub threshold: Option<f64>,
+    /// How far below the threshold a return may be and count as solved, 0 or more.
+    pub tolerance: f64,
+}
+
+/// `[checkpoint]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Checkpoint {
+    /// Environment steps between checkpoints; 0 for one at the end alone.
+    pub every_env_steps: u64,
+    /// Complete checkpoints that are kept, 1 to 1000.
+    pub keep: usize,
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self {
+            algo: Algo::HaDiiqn,
+            seed: 0,
+            episodes: None,
+            env_steps: None,
+            mode: Mode::Lockstep,
+            actors: 1,
+            rollout: 32,
+            lag: 0,
+        }
+    }
+}
+
+impl Default for Env {
+    fn default() -> Self {
+        Self {
+            kind: EnvKind::Maze,
+            map: "maze-small".into(),
+            layout: None,
+            actions: "irregular".into(),
+            action_sets: BTreeMap::new(),
+            step_limit: 4000,
+            encoding: EncodingKind::Coordinates,
+        }
+    }
+}
+
+impl Default for Exploration {
+    fn default() -> Self {
+        Self { epsilon_start: 1.0, epsilon_end: 0.05, epsilon_decay_steps: 50_000 }
+    }
+}
+
+impl Default for Learner {
+    fn default() -> Self {
+        Self {
+            hidden: vec![128, 128],
+            gamma: 0.99,
+            lr: 5e-4,
+            adam_beta1: 0.9,
+            adam_beta2: 0.999,
+            adam_eps: 1e-8,
+            max_grad_norm: 0.0,
+            batch: 32,
+            warmup: 1_000,
+            train_every: 4,
+            replay: 100_000,
+            target: TargetKind::Polyak,
+            target_every: 1_000,
+            tau: 0.005,
+            double: true,
+            loss: LossKind::Huber,
+            huber_delta: 1.0,
+            backend: Backend::Kernels,
+        }
+    }
+}
+
+impl Default for Mentor {
+    fn default() -> Self {
+        Self {
+            demo: "plan".into(),
+            actions: "regular".into(),
+            metric: MetricKind::Kl,
+            covariance: CovarianceKind::Space,
+            sigma_floor: 1e-6,
+            e_th: 0.1,
+            e_infeas: 0.1,
+            k: 4,
+            n: 4,
+            bridges: true,
+            cross_reference: true,
+            reward: RewardKind::Matched,
+            selection: SelectionKind::MinDistance,
+            beta: 1.0,
+            c_max: 100,
+            e_max: 1.0,
+        }
+    }
+}
+
+impl Default for Eval {
+    fn default() -> Self {
+        Self { every: 5, episodes: 1, threshold: None, tolerance: 0.5 }
+    }
+}
+
+impl Default for Checkpoint {
+    fn default() -> Self {
+        Self { every_env_steps: 250_000, keep: 2 }
+    }
+}

@@ -1,0 +1,109 @@
+//! Ranges and combinations of settings that types do not exclude.
+
+use super::{Config, ConfigError, TargetKind};
+use crate::limits::{MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_REPLAY, MAX_ROLLOUT, MAX_SIZES, MAX_WIDTH};
+use std::fmt::Display;
+use std::ops::RangeBounds;
+
+/// Refuses `value` outside `range`.
+fn within<T: PartialOrd + Display>(
+    key: &str,
+    value: T,
+    range: impl RangeBounds<T>,
+    accepted: &str,
+) -> Result<(), ConfigError> {
+    if range.contains(&value) { Ok(()) } else { Err(refuse(key, value, accepted)) }
+}
+
+fn refuse(key: &str, value: impl Display, accepted: &str) -> ConfigError {
+    ConfigError::Value { key: key.into(), value: value.to_string(), accepted: accepted.into() }
+}
+
+/// Refuses what is not a finite number above 0.
+fn positive(key: &str, value: f64) -> Result<(), ConfigError> {
+    if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refuse(key, value, "a number above 0")) }
+}
+
+impl Config {
+    /// Checks every range and combination.
+    ///
+    /// # Errors
+    /// The first setting that is out of range, with what is accepted.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.validate_run()?;
+        self.validate_exploration()?;
+        self.validate_learner()?;
+        self.validate_mentor()?;
+        within("eval.every", self.eval.every, 1.., "1 or more")?;
+        within("eval.episodes", self.eval.episodes, 1..=MAX_ROLLOUT, "1 to 4096")?;
+        within("eval.tolerance", self.eval.tolerance, 0.0..=f64::MAX, "0 or more")?;
+        if let Some(threshold) = self.eval.threshold
+            && !threshold.is_finite()
+        {
+            return Err(refuse("eval.threshold", threshold, "a finite number"));
+        }
+        within("checkpoint.keep", self.checkpoint.keep, 1..=1000, "1 to 1000")
+    }
+
+    fn validate_run(&self) -> Result<(), ConfigError> {
+        let run = &self.run;
+        within("run.seed", run.seed, 0..=i64::MAX as u64, "0 to 2^63 - 1")?;
+        if run.episodes.is_none() && run.env_steps.is_none() {
+            return Err(refuse("run.episodes", "not given", "a number of episodes, or run.env_steps instead"));
+        }
+        within("run.episodes", run.episodes.unwrap_or(1), 1.., "1 or more")?;
+        within("run.env_steps", run.env_steps.unwrap_or(1), 1.., "1 or more")?;
+        within("run.actors", run.actors, 1..=MAX_ACTORS, "1 to 64")?;
+        within("run.rollout", run.rollout, 1..=MAX_ROLLOUT, "1 to 4096")?;
+        within("run.lag", run.lag, 0..=1, "0 or 1")?;
+        within("env.step_limit", self.env.step_limit, 1.., "1 or more")
+    }
+
+    fn validate_exploration(&self) -> Result<(), ConfigError> {
+        let e = &self.exploration;
+        within("exploration.epsilon_start", e.epsilon_start, 0.0..=1.0, "0 to 1")?;
+        within("exploration.epsilon_end", e.epsilon_end, 0.0..=1.0, "0 to 1")
+    }
+
+    fn validate_learner(&self) -> Result<(), ConfigError> {
+        let l = &self.learner;
+        // Input and output are sizes of the network, too.
+        if l.hidden.is_empty() || l.hidden.len() > MAX_SIZES - 2 {
+            return Err(refuse("learner.hidden", format!("{:?}", l.hidden), "1 to 6 layers"));
+        }
+        for &width in &l.hidden {
+            within("learner.hidden", width, 1..=MAX_WIDTH, "layers of 1 to 4096 units")?;
+        }
+        within("learner.gamma", l.gamma, 0.0..=1.0, "0 to 1")?;
+        positive("learner.lr", l.lr)?;
+        within("learner.adam_beta1", l.adam_beta1, 0.0..1.0, "0 to below 1")?;
+        within("learner.adam_beta2", l.adam_beta2, 0.0..1.0, "0 to below 1")?;
+        positive("learner.adam_eps", l.adam_eps)?;
+        within("learner.max_grad_norm", l.max_grad_norm, 0.0..=f64::MAX, "0 (no clipping) or more")?;
+        within("learner.batch", l.batch, 1..=1024, "1 to 1024")?;
+        within("learner.warmup", l.warmup, l.batch as u64.., "learner.batch or more")?;
+        within("learner.train_every", l.train_every, 1.., "1 or more")?;
+        within("learner.replay", l.replay, l.batch..=MAX_REPLAY, "learner.batch to 100000000")?;
+        positive("learner.huber_delta", l.huber_delta)?;
+        match l.target {
+            TargetKind::Hard => within("learner.target_every", l.target_every, 1.., "1 or more"),
+            TargetKind::Polyak if l.tau > 0.0 && l.tau <= 1.0 => Ok(()),
+            TargetKind::Polyak => Err(refuse("learner.tau", l.tau, "above 0, up to 1")),
+        }
+    }
+
+    fn validate_mentor(&self) -> Result<(), ConfigError> {
+        let m = &self.mentor;
+        if m.demo.is_empty() {
+            return Err(refuse("mentor.demo", "\"\"", "`plan` or a CSV file"));
+        }
+        positive("mentor.sigma_floor", m.sigma_floor)?;
+        positive("mentor.e_th", m.e_th)?;
+        positive("mentor.e_infeas", m.e_infeas)?;
+        within("mentor.k", m.k, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
+        within("mentor.n", m.n, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
+        positive("mentor.beta", m.beta)?;
+        within("mentor.c_max", m.c_max, 1.., "1 or more")?;
+        positive("mentor.e_max", m.e_max)
+    }
+}

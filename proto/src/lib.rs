@@ -1,0 +1,27 @@
+//! What Trestle's processes agree on, and nothing else: the messages and their layout in shared memory, the
+//! services and their limits, the resolved configuration, the run directory, the framing of files, and the
+//! random streams.
+//!
+//! This crate depends on no other member of the workspace.
+
+pub mod annotation;
+pub mod batch;
+pub mod codec;
+pub mod config;
+pub mod limits;
+pub mod logging;
+pub mod mentor;
+pub mod observe;
+pub mod plan;
+pub mod query;
+pub mod reply;
+pub mod rng;
+pub mod rundir;
+pub mod schedule;
+pub mod space;
+pub mod tick;
+pub mod transport;
+pub mod weights;
+
+/// Marks "none" wherever an index or an action travels as a plain `u32`.
+pub const NONE: u32 = u32::MAX;

@@ -1,0 +1,54 @@
+//! Every limit of the system in one place. A configuration that exceeds one is refused before anything starts.
+
+use std::time::Duration;
+
+/// Most actors a run may have.
+pub const MAX_ACTORS: u32 = 64;
+/// Most environment steps in one batch (`run.rollout`).
+pub const MAX_ROLLOUT: u32 = 4096;
+/// Most features in an observation.
+pub const MAX_OBS_DIM: usize = 4096;
+/// Most discrete actions.
+pub const MAX_ACTIONS: usize = 1024;
+/// Most layers' sizes in a network, input and output included.
+pub const MAX_SIZES: usize = 8;
+/// Most units in one layer.
+pub const MAX_WIDTH: usize = 4096;
+/// Most transitions in the replay.
+pub const MAX_REPLAY: usize = 100_000_000;
+/// Most transitions in a demonstration.
+pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
+/// Most annotations or mentor transitions in one answer of the mentor-server.
+pub const MAX_QUERY_ROWS: u32 = 4096;
+/// Most `mentor/query` clients at once.
+pub const MAX_QUERY_CLIENTS: usize = 8;
+/// Most stored transitions that `bridge` search follows (`mentor.k`), and most mentor states ahead (`mentor.n`).
+pub const MAX_BRIDGE_DEPTH: u32 = 64;
+/// Largest reply of an actor (a snapshot of its environment, or its evaluations), bytes.
+pub const MAX_REPLY_BYTES: usize = 16 << 20;
+/// Largest side of a maze, cells.
+pub const MAX_MAP_SIDE: usize = 1000;
+/// Largest configuration or map file, bytes.
+pub const MAX_TEXT_BYTES: u64 = 16 << 20;
+
+/// Batches that may wait for the learner, each actor.
+pub const TRANSITIONS_BUFFER: usize = 64;
+/// Ticks that may wait for an actor: at most an evaluation, a snapshot, a collection and a stop are under way.
+pub const TICKS_BUFFER: usize = 8;
+/// Replies that may wait for the learner, each actor.
+pub const REPLIES_BUFFER: usize = 8;
+
+/// How long a process waits at its start for the others to answer its hello.
+pub const HANDSHAKE: Duration = Duration::from_secs(30);
+/// How often an unanswered hello is repeated.
+pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);
+/// How long a full buffer may block a sender before the send fails.
+pub const BACKPRESSURE: Duration = Duration::from_secs(10);
+/// Longest sleep of a waiting process before it looks at its shutdown flag again.
+pub const WAIT_SLICE: Duration = Duration::from_millis(200);
+/// How long the supervisor waits for the other processes once the learner has left.
+pub const GRACE: Duration = Duration::from_secs(5);
+/// How long the learner waits for the mentor-server to take in one batch.
+pub const OBSERVE_DEADLINE: Duration = Duration::from_secs(30);
+/// How long a client waits for an answer to a query.
+pub const QUERY_DEADLINE: Duration = Duration::from_secs(10);

@@ -1,0 +1,56 @@
+//! The plan of a run: all that a child process needs to know, written once by the supervisor into the run's
+//! directory before the first child starts.
+
+use crate::codec::{self, CodecError, Kind};
+use crate::config::{Config, EncodingKind};
+use crate::space::EnvSpec;
+use serde::{Deserialize, Serialize};
+
+const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 1 };
+
+/// All that a child process needs to know.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunPlan {
+    /// Identity of the run, drawn anew each time it is started or resumed; in the name of its shared memory.
+    pub run: u64,
+    /// The resolved configuration.
+    pub config: Config,
+    /// The environment's spaces.
+    pub spec: EnvSpec,
+    /// Transitions of the demonstration; 0 without a mentor.
+    pub mentor_len: usize,
+    /// Checkpoint to go on from, as the number of its tick.
+    pub resume_tick: Option<u64>,
+}
+
+impl RunPlan {
+    /// The plan as bytes of a file.
+    pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
+        codec::encode(KIND, self)
+    }
+
+    /// The plan in the bytes of a file.
+    pub fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
+        codec::decode(KIND, bytes)
+    }
+
+    /// Units of the network's input, hidden layers and output.
+    pub fn sizes(&self) -> Vec<usize> {
+        let input = match self.config.env.encoding {
+            EncodingKind::Coordinates => self.spec.obs_dim(),
+            EncodingKind::OneHot => self.one_hot_sizes().iter().sum(),
+        };
+        let hidden = self.config.learner.hidden.iter().copied();
+        std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect()
+    }
+
+    /// Number of values of each feature, for the one-hot encoding of whole-numbered features.
+    pub fn one_hot_sizes(&self) -> Vec<usize> {
+        self.spec.low.iter().zip(&self.spec.high).map(|(low, high)| (high - low) as usize + 1).collect()
+    }
+
+    /// Return from which on an evaluation counts as optimal, if one is known.
+    pub fn threshold(&self) -> Option<f64> {
+        self.config.eval.threshold.or(self.spec.best_return)
+    }
+}

@@ -1,0 +1,63 @@
+//! What an actor answers besides batches: the outcome of a greedy evaluation, or a snapshot of itself.
+//!
+//! The payload is a [`crate::codec`] frame of [`Evaluation`] or of bytes that only the actor understands.
+
+use crate::codec::Kind;
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+use serde::{Deserialize, Serialize};
+
+/// The payload is an [`Evaluation`], in a frame of [`EVALUATION_KIND`].
+pub const EVALUATION: u32 = 1;
+/// The payload is the actor's state, to be handed back to it when the run is resumed.
+pub const ACTOR_STATE: u32 = 2;
+
+/// The frame of an [`Evaluation`].
+pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 1 };
+
+/// What is sent beside a reply.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("trestle.ReplyHeader.v1")]
+pub struct ReplyHeader {
+    /// Identity of the run.
+    pub run: u64,
+    /// Number of the tick that asked for it.
+    pub tick: u64,
+    /// Index of the actor.
+    pub actor: u32,
+    /// One of the constants of this module.
+    pub kind: u32,
+}
+
+/// A reply in private memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Reply {
+    /// Its header.
+    pub header: ReplyHeader,
+    /// Its payload.
+    pub payload: Vec<u8>,
+}
+
+/// One greedy episode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationEpisode {
+    /// Undiscounted sum of the rewards.
+    pub total_reward: f64,
+    /// Steps.
+    pub length: u64,
+    /// Whether it ended in a terminal state rather than at the step limit.
+    pub success: bool,
+    /// The states passed through, `length + 1` times `obs_dim` features, the first one being the start. Empty where
+    /// it and the paths before it would not fit into a reply.
+    pub path: Vec<f32>,
+}
+
+/// The greedy episodes of one evaluation, played with the weights that its tick named.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Number of the evaluation, from 0.
+    pub evaluation: u64,
+    /// Its episodes.
+    pub episodes: Vec<EvaluationEpisode>,
+}

@@ -1,0 +1,50 @@
+//! Schedules over environment steps.
+
+use crate::config::Exploration;
+
+/// ε after `env_steps` environment steps of all actors: from `epsilon_start` to `epsilon_end`, linearly over
+/// `epsilon_decay_steps`, constant from then on.
+pub fn epsilon(exploration: &Exploration, env_steps: u64) -> f64 {
+    if env_steps >= exploration.epsilon_decay_steps {
+        return exploration.epsilon_end;
+    }
+    let done = env_steps as f64 / exploration.epsilon_decay_steps as f64;
+    exploration.epsilon_start + done * (exploration.epsilon_end - exploration.epsilon_start)
+}
+
+/// How many gradient steps are due when the count of environment steps goes from `before` to `after`: one every
+/// `train_every` steps once `warmup` steps have been taken.
+pub fn gradient_steps_due(before: u64, after: u64, warmup: u64, train_every: u64) -> u64 {
+    let due = |steps: u64| steps.saturating_sub(warmup) / train_every;
+    due(after) - due(before)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn epsilon_is_linear_and_then_constant() {
+        let exploration = Exploration { epsilon_start: 1.0, epsilon_end: 0.1, epsilon_decay_steps: 90 };
+        assert_eq!(epsilon(&exploration, 0), 1.0);
+        assert!((epsilon(&exploration, 45) - 0.55).abs() < 1e-12);
+        assert_eq!(epsilon(&exploration, 90), 0.1);
+        assert_eq!(epsilon(&exploration, u64::MAX), 0.1);
+    }
+
+    proptest! {
+        /// However the steps are cut into ticks, as many gradient steps are taken.
+        #[test]
+        fn due_steps_do_not_depend_on_the_cut(cuts in proptest::collection::vec(0u64..50, 1..40), warmup in 0u64..300, every in 1u64..9) {
+            let mut at = 0;
+            let mut sum = 0;
+            for cut in &cuts {
+                sum += gradient_steps_due(at, at + cut, warmup, every);
+                at += cut;
+            }
+            prop_assert_eq!(sum, gradient_steps_due(0, at, warmup, every));
+            prop_assert_eq!(sum, at.saturating_sub(warmup) / every);
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! What the other processes know of an environment: the shape of its observations and actions.
+
+use crate::limits::{MAX_ACTIONS, MAX_OBS_DIM};
+use serde::{Deserialize, Serialize};
+
+/// The spaces of an environment, and how its returns are to be read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EnvSpec {
+    /// Name for people, e.g. `maze maze30`.
+    pub name: String,
+    /// Smallest value of each feature; its length is the observation's dimension.
+    pub low: Vec<f32>,
+    /// Largest value of each feature.
+    pub high: Vec<f32>,
+    /// Scale of each feature (one "step" of it), the default standard deviations of the state distance.
+    pub scale: Vec<f32>,
+    /// Whether every feature takes whole numbers only (needed for the one-hot encoding).
+    pub integral: bool,
+    /// Names of the discrete actions; their number is the size of the action space.
+    pub actions: Vec<String>,
+    /// The best return that is possible, where it is known.
+    pub best_return: Option<f64>,
+}
+
+/// An environment whose spaces are out of range.
+#[derive(Debug, thiserror::Error)]
+pub enum SpaceError {
+    /// Dimension of the observation.
+    #[error("environment {name}: {dim} features in an observation; accepted: 1 to {MAX_OBS_DIM}")]
+    ObsDim {
+        /// Name of the environment.
+        name: String,
+        /// What it says.
+        dim: usize,
+    },
+    /// Number of actions.
+    #[error("environment {name}: {n} actions; accepted: 2 to {MAX_ACTIONS}")]
+    Actions {
+        /// Name of the environment.
+        name: String,
+        /// What it says.
+        n: usize,
+    },
+    /// Bounds or scale of a feature.
+    #[error("environment {name}: feature {index} has bounds [{low}, {high}] and scale {scale}; accepted: finite, low < high, scale > 0")]
+    Feature {
+        /// Name of the environment.
+        name: String,
+        /// Which feature.
+        index: usize,
+        /// Its lower bound.
+        low: f32,
+        /// Its upper bound.
+        high: f32,
+        /// Its scale.
+        scale: f32,
+    },
+}
+
+impl EnvSpec {
+    /// Number of features in an observation.
+    pub fn obs_dim(&self) -> usize {
+        self.low.len()
+    }
+
+    /// Number of discrete actions.
+    pub fn n_actions(&self) -> usize {
+        self.actions.len()
+    }
+
+    /// Checks all that the other processes rely on.
+    pub fn validate(&self) -> Result<(), SpaceError> {
+        let dim = self.obs_dim();
+        if dim == 0 || dim > MAX_OBS_DIM || self.high.len() != dim || self.scale.len() != dim {
+            return Err(SpaceError::ObsDim { name: self.name.clone(), dim });
+        }
+        if !(2..=MAX_ACTIONS).contains(&self.n_actions()) {
+            return Err(SpaceError::Actions { name: self.name.clone(), n: self.n_actions() });
+        }
+        for (index, ((&low, &high), &scale)) in self.low.iter().zip(&self.high).zip(&self.scale).enumerate() {
+            let sound = low.is_finite() && high.is_finite() && scale.is_finite() && low < high && scale > 0.0;
+            if !sound {
+                return Err(SpaceError::Feature { name: self.name.clone(), index, low, high, scale });
+            }
+        }
+        Ok(())
+    }
+}

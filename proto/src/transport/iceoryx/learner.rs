@@ -1,0 +1,221 @@
+//! The learner's end of the transport.
+
+use super::query::{self, ask};
+use super::services::{MENTOR_PEER, Services};
+use super::{Domain, Ipc, failed, give_up_in_time, wake};
+use crate::batch::{Batch, BatchHeader};
+use crate::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
+use crate::observe::{ObserveAnswer, ObserveRequest, Observed};
+use crate::plan::RunPlan;
+use crate::query::{QueryAnswer, QueryRequest, status_text};
+use crate::reply::{Reply, ReplyHeader};
+use crate::tick::Tick;
+use crate::transport::{FromActor, LearnerLink, LinkError, Stop};
+use crate::weights::WeightsHeader;
+use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use std::time::{Duration, Instant};
+
+/// The learner over shared memory.
+#[derive(Debug)]
+pub struct IceoryxLearner {
+    transitions: Subscriber<Ipc, [u32], BatchHeader>,
+    replies: Subscriber<Ipc, [u8], ReplyHeader>,
+    weights: Publisher<Ipc, [f32], WeightsHeader>,
+    ticks: Publisher<Ipc, Tick, ()>,
+    observe: Client<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>,
+    query: query::Port,
+    listener: Listener<Ipc>,
+    actors: Notifier<Ipc>,
+    mentor: Notifier<Ipc>,
+    services: Services,
+}
+
+impl IceoryxLearner {
+    /// Opens the run's services and creates the learner's ports.
+    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        let services = Services::open(domain, plan)?;
+        let sizes = &services.sizes;
+        let weights = services
+            .weights
+            .publisher_builder()
+            .initial_max_slice_len(sizes.weights)
+            .max_loaned_samples(1)
+            .create()
+            .map_err(failed("creating the publisher of weights"))?;
+        let ticks = services
+            .ticks
+            .publisher_builder()
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the publisher of ticks"))?;
+        let observe = services
+            .observe
+            .client_builder()
+            .initial_max_slice_len(sizes.observe_request_words())
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the client of mentor/observe"))?;
+        Ok(Self {
+            transitions: services
+                .transitions
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of transitions"))?,
+            replies: services
+                .replies
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of replies"))?,
+            weights,
+            ticks,
+            observe,
+            query: query::port(&services)?,
+            listener: wake::listener(&services.wake_learner)?,
+            actors: wake::notifier(&services.wake_actors)?,
+            mentor: wake::notifier(&services.wake_mentor)?,
+            services,
+        })
+    }
+
+    fn connect(&mut self) -> Result<(), LinkError> {
+        self.transitions.update_connections().map_err(failed("mapping an actor"))?;
+        self.replies.update_connections().map_err(failed("mapping an actor"))?;
+        self.weights.update_connections().map_err(failed("mapping an actor"))?;
+        self.ticks.update_connections().map_err(failed("mapping an actor"))
+    }
+
+    fn try_recv(&self, batches: &mut [Batch]) -> Result<Option<FromActor>, LinkError> {
+        // Replies first: an actor answers an evaluation before it sends the batch of the tick after.
+        if let Some(sample) = self.replies.receive().map_err(failed("receiving a reply"))? {
+            let header = *sample.user_header();
+            let known = header.run == self.services.run && (header.actor as usize) < batches.len();
+            if !known || sample.payload().len() > MAX_REPLY_BYTES {
+                return Err(LinkError::Unexpected(format!("reply {header:?}")));
+            }
+            return Ok(Some(FromActor::Reply(Reply { header, payload: sample.payload().to_vec() })));
+        }
+        let Some(sample) = self.transitions.receive().map_err(failed("receiving a batch"))? else {
+            return Ok(None);
+        };
+        let header = *sample.user_header();
+        let slot = batches.get_mut(header.actor as usize).filter(|_| header.run == self.services.run);
+        let slot = slot.ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
+        let sizes = &self.services.sizes;
+        slot.receive(header, sample.payload(), sizes.obs_dim, sizes.n_actions)?;
+        Ok(Some(FromActor::Batch(header.actor)))
+    }
+}
+
+impl LearnerLink for IceoryxLearner {
+    fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        let start = Instant::now();
+        let mut missing: Vec<usize> = (0..self.services.sizes.actors).collect();
+        if self.services.sizes.mentor_len > 0 {
+            missing.push(MENTOR_PEER);
+        }
+        while !missing.is_empty() {
+            if stop() {
+                return Err(LinkError::Interrupted("actors and mentor-server"));
+            }
+            if start.elapsed() > HANDSHAKE {
+                let name = |p: &usize| {
+                    if *p == MENTOR_PEER { "mentor-server".into() } else { format!("actor {p}") }
+                };
+                return Err(LinkError::Deadline {
+                    peer: missing.iter().map(name).collect::<Vec<_>>().join(", "),
+                    what: "welcome",
+                    waited_ms: HANDSHAKE.as_millis(),
+                });
+            }
+            let mut hello = Vec::new();
+            wake::sleep(&self.listener, WAIT_SLICE, |event| match event {
+                wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
+                wake::READY..wake::CREATED => missing.retain(|p| *p != event - wake::READY),
+                _ => {}
+            })?;
+            for peer in hello {
+                self.connect()?;
+                let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
+                wake::notify(notifier, wake::WELCOME + peer)?;
+            }
+        }
+        // Peers that became ready have created nothing since, so this maps all of them.
+        self.connect()
+    }
+
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
+        let mut sample = self
+            .weights
+            .loan_slice_uninit(weights.len())
+            .map_err(failed("loaning memory for weights"))?
+            .write_from_slice(weights);
+        let sizes = &self.services.sizes;
+        *sample.user_header_mut() = WeightsHeader::new(self.services.run, version, &sizes.network, weights);
+        let found = sample.send().map_err(failed("sending weights"))?;
+        delivered("a set of weights", found, sizes.actors)
+    }
+
+    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
+        let found = self.ticks.send_copy(*tick).map_err(failed("sending a tick"))?;
+        delivered("a tick", found, self.services.sizes.actors)?;
+        wake::notify(&self.actors, wake::DATA)
+    }
+
+    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+        wake::wait(&self.listener, timeout, || self.try_recv(batches))
+    }
+
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        payload: &[u32],
+        into: &mut Observed,
+    ) -> Result<(), LinkError> {
+        const WHAT: &str = "a batch for its history";
+        let mut sending = self
+            .observe
+            .loan_slice_uninit(payload.len())
+            .map_err(failed("loaning memory for a request"))?
+            .write_from_slice(payload);
+        *sending.user_header_mut() = *request;
+        let pending = sending.send().map_err(failed("sending a request to mentor/observe"))?;
+        delivered("a request to mentor/observe", pending.number_of_server_connections(), 1)?;
+        wake::notify(&self.mentor, wake::DATA)?;
+        let answer = wake::wait(&self.listener, OBSERVE_DEADLINE, || {
+            pending.receive().map_err(failed("receiving from mentor/observe"))
+        })?;
+        let answer = answer.ok_or_else(|| LinkError::Deadline {
+            peer: "mentor-server".into(),
+            what: WHAT,
+            waited_ms: OBSERVE_DEADLINE.as_millis(),
+        })?;
+        let header = *answer.user_header();
+        if header.status != crate::query::OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        let sizes = &self.services.sizes;
+        Ok(into.receive(&header, answer.payload(), sizes.obs_dim, sizes.mentor_len)?)
+    }
+
+    fn query(
+        &mut self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+    ) -> Result<QueryAnswer, LinkError> {
+        ask(&self.query, &self.mentor, &self.listener, request, payload, into, QUERY_DEADLINE)
+    }
+}
+
+/// Fewer receivers than processes means that one of them is gone.
+fn delivered(what: &'static str, found: usize, expected: usize) -> Result<(), LinkError> {
+    if found == expected { Ok(()) } else { Err(LinkError::Receivers { what, found, expected }) }
+}

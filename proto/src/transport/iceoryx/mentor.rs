@@ -1,0 +1,148 @@
+//! The mentor-server's end of the transport.
+
+use super::services::{MENTOR_PEER, Services};
+use super::{Domain, Ipc, failed, give_up_in_time, wake};
+use crate::limits::{HANDSHAKE, HELLO_INTERVAL};
+use crate::observe::{ObserveAnswer, ObserveRequest};
+use crate::plan::RunPlan;
+use crate::query::{MALFORMED, QueryAnswer, QueryRequest};
+use crate::transport::{LinkError, MentorHandler, MentorLink, Stop};
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::server::Server;
+use iceoryx2::prelude::AllocationStrategy;
+use std::time::{Duration, Instant};
+
+/// The mentor-server over shared memory.
+#[derive(Debug)]
+pub struct IceoryxMentor {
+    observe: Server<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>,
+    query: Server<Ipc, [f32], QueryRequest, [u32], QueryAnswer>,
+    listener: Listener<Ipc>,
+    learner: Notifier<Ipc>,
+    clients: Notifier<Ipc>,
+    /// Private copies of a request's payload (a peer could still write to what it has sent) and of an answer's.
+    words: Vec<u32>,
+    state: Vec<f32>,
+    answer: Vec<u32>,
+    services: Services,
+}
+
+impl IceoryxMentor {
+    /// Opens the run's services and creates the mentor-server's ports.
+    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        let services = Services::open(domain, plan)?;
+        let observe = services
+            .observe
+            .server_builder()
+            .initial_max_slice_len(services.sizes.observe_answer_words())
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the server of mentor/observe"))?;
+        let query = services
+            .query
+            .server_builder()
+            .initial_max_slice_len(services.sizes.query_answer_words())
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the server of mentor/query"))?;
+        Ok(Self {
+            observe,
+            query,
+            listener: wake::listener(&services.wake_mentor)?,
+            learner: wake::notifier(&services.wake_learner)?,
+            clients: wake::notifier(&services.wake_clients)?,
+            words: Vec::new(),
+            state: Vec::new(),
+            answer: Vec::new(),
+            services,
+        })
+    }
+
+    /// Answers everything that has come.
+    fn answer_all(&mut self, handler: &mut dyn MentorHandler) -> Result<usize, LinkError> {
+        let mut answered = 0;
+        while let Some(request) = self.observe.receive().map_err(failed("receiving on mentor/observe"))? {
+            let header = *request.user_header();
+            self.words.clear();
+            self.words.extend_from_slice(request.payload());
+            self.answer.clear();
+            let answer = if header.run == self.services.run {
+                handler.observe(&header, &self.words, &mut self.answer)
+            } else {
+                ObserveAnswer { status: MALFORMED, ..ObserveAnswer::default() }
+            };
+            let mut sending = request
+                .loan_slice_uninit(self.answer.len())
+                .map_err(failed("loaning memory for an answer"))?
+                .write_from_slice(&self.answer);
+            *sending.user_header_mut() = answer;
+            sending.send().map_err(failed("answering on mentor/observe"))?;
+            wake::notify(&self.learner, wake::DATA)?;
+            answered += 1;
+        }
+        while let Some(request) = self.query.receive().map_err(failed("receiving on mentor/query"))? {
+            let header = *request.user_header();
+            self.state.clear();
+            self.state.extend_from_slice(request.payload());
+            self.answer.clear();
+            let answer = if header.run == self.services.run {
+                handler.query(&header, &self.state, &mut self.answer)
+            } else {
+                QueryAnswer { status: MALFORMED, count: 0 }
+            };
+            let mut sending = request
+                .loan_slice_uninit(self.answer.len())
+                .map_err(failed("loaning memory for an answer"))?
+                .write_from_slice(&self.answer);
+            *sending.user_header_mut() = answer;
+            // A client that is gone, or that reads nothing, is its own affair.
+            if let Err(e) = sending.send() {
+                tracing::warn!("an answer on mentor/query was not delivered: {e}");
+            }
+            wake::notify(&self.learner, wake::DATA)?;
+            wake::notify(&self.clients, wake::DATA)?;
+            answered += 1;
+        }
+        Ok(answered)
+    }
+}
+
+impl MentorLink for IceoryxMentor {
+    fn hello(&mut self, handler: &mut dyn MentorHandler, stop: Stop<'_>) -> Result<(), LinkError> {
+        let start = Instant::now();
+        let mut welcome = false;
+        while !welcome {
+            if stop() {
+                return Err(LinkError::Interrupted("the learner"));
+            }
+            if start.elapsed() > HANDSHAKE {
+                return Err(LinkError::Deadline {
+                    peer: "learner".into(),
+                    what: "hello",
+                    waited_ms: HANDSHAKE.as_millis(),
+                });
+            }
+            wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
+            wake::sleep(&self.listener, HELLO_INTERVAL, |event| {
+                welcome |= event == wake::WELCOME + MENTOR_PEER;
+            })?;
+            self.answer_all(handler)?;
+        }
+        wake::notify(&self.learner, wake::READY + MENTOR_PEER)
+    }
+
+    fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
+        let start = Instant::now();
+        loop {
+            let answered = self.answer_all(handler)?;
+            let left = timeout.saturating_sub(start.elapsed());
+            if answered > 0 || left.is_zero() {
+                return Ok(answered);
+            }
+            wake::sleep(&self.listener, left, |_| {})?;
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! Every service of a run with all its limits. The supervisor creates and holds them; the other processes open them,
+//! because a process that dies while it creates a service would leave it unusable.
+
+use super::{Domain, Ipc, failed, wake};
+use crate::annotation::record_words;
+use crate::batch::{self, BatchHeader};
+use crate::limits::{
+    MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
+};
+use crate::mentor::transition_words;
+use crate::observe::{ObserveAnswer, ObserveRequest};
+use crate::plan::RunPlan;
+use crate::query::{QueryAnswer, QueryRequest};
+use crate::reply::ReplyHeader;
+use crate::tick::Tick;
+use crate::transport::LinkError;
+use crate::weights::WeightsHeader;
+use iceoryx2::prelude::{EventId, Node};
+use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
+
+/// The mentor-server's number among the peers that say hello; the actors have those below.
+pub(super) const MENTOR_PEER: usize = MAX_ACTORS as usize;
+/// Processes besides actors and query clients: supervisor, learner, mentor-server, and as many again while one is
+/// replaced.
+const OTHER_NODES: usize = 6;
+/// Shared memory that the buffered batches of one actor may take, bytes; fewer are buffered if they are larger.
+const TRANSITIONS_BYTES: usize = 32 << 20;
+
+/// What a run's messages measure, derived from its plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sizes {
+    /// Actors.
+    pub actors: usize,
+    /// Features of an observation.
+    pub obs_dim: usize,
+    /// Actions.
+    pub n_actions: usize,
+    /// Units of the network's layers.
+    pub network: Vec<u32>,
+    /// Words of a batch.
+    pub batch_words: usize,
+    /// Parameters of the network.
+    pub weights: usize,
+    /// Transitions of the demonstration; 0 without a mentor.
+    pub mentor_len: usize,
+}
+
+impl Sizes {
+    /// The sizes of `plan`'s messages.
+    pub fn of(plan: &RunPlan) -> Self {
+        let network = plan.sizes();
+        let weights = network.windows(2).map(|w| w[0] * w[1] + w[1]).sum();
+        Self {
+            actors: plan.config.run.actors as usize,
+            obs_dim: plan.spec.obs_dim(),
+            n_actions: plan.spec.n_actions(),
+            network: network.into_iter().map(|n| n as u32).collect(),
+            batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
+            weights,
+            mentor_len: plan.mentor_len,
+        }
+    }
+
+    /// Batches of an actor that may wait for the learner.
+    pub fn transitions_buffer(&self) -> usize {
+        (TRANSITIONS_BYTES / (4 * self.batch_words)).clamp(2, TRANSITIONS_BUFFER)
+    }
+
+    /// Words of the largest request to `mentor/observe`.
+    pub fn observe_request_words(&self) -> usize {
+        self.batch_words.max(self.annotation_rows() * record_words(self.obs_dim))
+    }
+
+    /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
+    pub fn observe_answer_words(&self) -> usize {
+        self.batch_words + self.annotation_rows() * record_words(self.obs_dim)
+    }
+
+    /// Words of the largest answer of `mentor/query`.
+    pub fn query_answer_words(&self) -> usize {
+        let row = record_words(self.obs_dim).max(transition_words(self.obs_dim)).max(8);
+        self.annotation_rows() * row
+    }
+
+    /// Annotations or mentor transitions that travel in one message.
+    pub fn annotation_rows(&self) -> usize {
+        self.mentor_len.clamp(1, MAX_QUERY_ROWS as usize)
+    }
+
+    /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
+    pub fn shared_memory_bytes(&self) -> u64 {
+        let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;
+        let weights = 4 * self.weights * 4;
+        let mentor = if self.mentor_len == 0 {
+            0
+        } else {
+            4 * 4 * (self.observe_request_words() + self.observe_answer_words() + self.query_answer_words())
+        };
+        const FIXED: usize = 8 << 20;
+        (batches + weights + mentor + FIXED) as u64
+    }
+}
+
+pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], BatchHeader>;
+pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], WeightsHeader>;
+pub(super) type Ticks = publish_subscribe::PortFactory<Ipc, Tick, ()>;
+pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], ReplyHeader>;
+pub(super) type Observe =
+    request_response::PortFactory<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>;
+pub(super) type Query = request_response::PortFactory<Ipc, [f32], QueryRequest, [u32], QueryAnswer>;
+pub(super) type Wake = event::PortFactory<Ipc>;
+
+/// All services of a run, opened. Whoever holds this keeps them in being.
+#[derive(Debug)]
+pub struct Services {
+    pub(super) sizes: Sizes,
+    pub(super) run: u64,
+    pub(super) transitions: Transitions,
+    pub(super) weights: Weights,
+    pub(super) ticks: Ticks,
+    pub(super) replies: Replies,
+    pub(super) observe: Observe,
+    pub(super) query: Query,
+    pub(super) wake_learner: Wake,
+    pub(super) wake_mentor: Wake,
+    pub(super) wake_actors: Wake,
+    pub(super) wake_clients: Wake,
+    /// Last, so that it goes after everything that lives in it.
+    pub(super) node: Node<Ipc>,
+}
+
+/// Ends a builder the one or the other way.
+macro_rules! finish {
+    ($builder:expr, $create:expr, $name:expr) => {{
+        let builder = $builder;
+        if $create {
+            builder.create().map_err(|e| LinkError::Transport {
+                what: concat!("creating service ", $name),
+                message: e.to_string(),
+            })
+        } else {
+            builder.open().map_err(|e| LinkError::Transport {
+                what: concat!("opening service ", $name),
+                message: e.to_string(),
+            })
+        }
+    }};
+}
+
+impl Services {
+    /// Creates every service of `plan`'s run; the supervisor alone does this.
+    pub fn create(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        Self::build(domain, plan, true)
+    }
+
+    /// Opens every service of `plan`'s run.
+    pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        Self::build(domain, plan, false)
+    }
+
+    /// Removes what dead processes of the run left, so that others can take their places.
+    pub fn reap(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+
+    fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
+        let node = domain.node().map_err(failed("joining the run"))?;
+        let sizes = Sizes::of(plan);
+        let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
+        let name = |name: &str| {
+            format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"))
+        };
+        let transitions = finish!(
+            node.service_builder(&name("transitions")?)
+                .publish_subscribe::<[u32]>()
+                .user_header::<BatchHeader>()
+                .max_publishers(sizes.actors * 2)
+                .max_subscribers(1)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(sizes.transitions_buffer())
+                .subscriber_max_borrowed_samples(1)
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "transitions"
+        )?;
+        let weights = finish!(
+            node.service_builder(&name("weights")?)
+                .publish_subscribe::<[f32]>()
+                .user_header::<WeightsHeader>()
+                .max_publishers(1)
+                .max_subscribers(sizes.actors * 2)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(1)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(1)
+                .enable_safe_overflow(true),
+            create,
+            "weights"
+        )?;
+        let ticks = finish!(
+            node.service_builder(&name("ticks")?)
+                .publish_subscribe::<Tick>()
+                .max_publishers(1)
+                .max_subscribers(sizes.actors * 2)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(TICKS_BUFFER)
+                .subscriber_max_borrowed_samples(1)
+                // No history: an old tick is no work for an actor that comes late.
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "ticks"
+        )?;
+        let replies = finish!(
+            node.service_builder(&name("replies")?)
+                .publish_subscribe::<[u8]>()
+                .user_header::<ReplyHeader>()
+                .max_publishers(sizes.actors * 2)
+                .max_subscribers(1)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(REPLIES_BUFFER)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "replies"
+        )?;
+        let observe = finish!(
+            node.service_builder(&name("mentor/observe")?)
+                .request_response::<[u32], [u32]>()
+                .request_user_header::<ObserveRequest>()
+                .response_user_header::<ObserveAnswer>()
+                .max_servers(1)
+                .max_clients(1)
+                .max_nodes(nodes)
+                .max_active_requests_per_client(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(false)
+                .enable_safe_overflow_for_responses(false)
+                .enable_fire_and_forget_requests(false),
+            create,
+            "mentor/observe"
+        )?;
+        let query = finish!(
+            node.service_builder(&name("mentor/query")?)
+                .request_response::<[f32], [u32]>()
+                .request_user_header::<QueryRequest>()
+                .response_user_header::<QueryAnswer>()
+                .max_servers(1)
+                .max_clients(MAX_QUERY_CLIENTS)
+                .max_nodes(nodes)
+                .max_active_requests_per_client(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(false)
+                .enable_safe_overflow_for_responses(false)
+                .enable_fire_and_forget_requests(false),
+            create,
+            "mentor/query"
+        )?;
+        let wake = |which: &'static str, listeners: usize| -> Result<Wake, LinkError> {
+            finish!(
+                node.service_builder(&name(which)?)
+                    .event()
+                    .max_listeners(listeners)
+                    .max_notifiers(nodes * 2)
+                    .max_nodes(nodes)
+                    .event_id_max_value(wake::LAST)
+                    .notifier_created_event(EventId::new(wake::CREATED))
+                    .notifier_dropped_event(EventId::new(wake::DROPPED))
+                    .notifier_dead_event(EventId::new(wake::DEAD)),
+                create,
+                "wake"
+            )
+        };
+        Ok(Self {
+            run: plan.run,
+            transitions,
+            weights,
+            ticks,
+            replies,
+            observe,
+            query,
+            wake_learner: wake("wake/learner", 2)?,
+            wake_mentor: wake("wake/mentor", 2)?,
+            wake_actors: wake("wake/actors", sizes.actors * 2)?,
+            wake_clients: wake("wake/clients", MAX_QUERY_CLIENTS)?,
+            node,
+            sizes,
+        })
+    }
+}

@@ -1,0 +1,78 @@
+//! Sleeping until something has come.
+//!
+//! Every consumer looks for data first and sleeps only when there is none; a notification that comes in between is
+//! kept by the listener, so none is lost. All notifications are drained at each wake-up.
+
+use super::{Ipc, failed};
+use crate::transport::LinkError;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::EventId;
+use iceoryx2::service::port_factory::event::PortFactory;
+use std::time::{Duration, Instant};
+
+/// Something to receive.
+pub(super) const DATA: usize = 0;
+/// The learner, or the mentor-server, has mapped the memory of peer `i`: `WELCOME + i`.
+pub(super) const WELCOME: usize = 1;
+/// Peer `i` has created its ports: `HELLO + i`.
+pub(super) const HELLO: usize = 66;
+/// Peer `i` has mapped the learner's memory: `READY + i`.
+pub(super) const READY: usize = 131;
+/// A notifier came.
+pub(super) const CREATED: usize = 252;
+/// A notifier went.
+pub(super) const DROPPED: usize = 253;
+/// A process died.
+pub(super) const DEAD: usize = 254;
+/// Largest event id in use.
+pub(super) const LAST: usize = 254;
+
+/// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come.
+pub(super) fn sleep(
+    listener: &Listener<Ipc>,
+    timeout: Duration,
+    mut on_event: impl FnMut(usize),
+) -> Result<(), LinkError> {
+    match listener.timed_wait(|event| on_event(event.id.as_value()), timeout) {
+        // A signal for this process: its handler has set a flag that the caller looks at.
+        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+        Err(e) => Err(failed("waiting for an event")(e)),
+    }
+}
+
+/// Polls until `poll` gives something or `timeout` is over, asleep in between. A wake-up need not mean data: the
+/// event may be of a message that was received before.
+pub(super) fn wait<T>(
+    listener: &Listener<Ipc>,
+    timeout: Duration,
+    mut poll: impl FnMut() -> Result<Option<T>, LinkError>,
+) -> Result<Option<T>, LinkError> {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = poll()? {
+            return Ok(Some(found));
+        }
+        let left = timeout.saturating_sub(start.elapsed());
+        if left.is_zero() {
+            return Ok(None);
+        }
+        sleep(listener, left, |_| {})?;
+    }
+}
+
+/// Tells all listeners of the service.
+pub(super) fn notify(notifier: &Notifier<Ipc>, event: usize) -> Result<(), LinkError> {
+    notifier
+        .notify_with_custom_event_id(EventId::new(event))
+        .map(|_| ())
+        .map_err(failed("notifying a peer"))
+}
+
+pub(super) fn listener(service: &PortFactory<Ipc>) -> Result<Listener<Ipc>, LinkError> {
+    service.listener_builder().create().map_err(failed("creating a listener"))
+}
+
+pub(super) fn notifier(service: &PortFactory<Ipc>) -> Result<Notifier<Ipc>, LinkError> {
+    service.notifier_builder().create().map_err(failed("creating a notifier"))
+}

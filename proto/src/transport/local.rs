@@ -1,0 +1,225 @@
+//! The transport within one process: bounded channels between threads. For tests of the roles' loops, and the proof
+//! that the interfaces do not depend on shared memory.
+//!
+//! Messages are checked by the same code as those of shared memory.
+
+use super::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorLink, Stop};
+use crate::batch::{Batch, BatchHeader};
+use crate::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER};
+use crate::observe::{ObserveAnswer, ObserveRequest, Observed};
+use crate::plan::RunPlan;
+use crate::query::{OK, QueryAnswer, QueryRequest, status_text};
+use crate::reply::Reply;
+use crate::tick::Tick;
+use crate::weights::{WeightsError, WeightsHeader};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+type Weights = Arc<Mutex<Option<(WeightsHeader, Vec<f32>)>>>;
+
+enum ToLearner {
+    Batch(BatchHeader, Vec<u32>),
+    Reply(Reply),
+}
+
+enum Request {
+    Observe(ObserveRequest, Vec<u32>, SyncSender<(ObserveAnswer, Vec<u32>)>),
+    Query(QueryRequest, Vec<f32>, SyncSender<(QueryAnswer, Vec<u32>)>),
+}
+
+/// An actor over channels.
+pub struct LocalActor {
+    run: u64,
+    sizes: Vec<u32>,
+    weights: Weights,
+    ticks: Receiver<Tick>,
+    learner: SyncSender<ToLearner>,
+}
+
+/// The learner over channels.
+pub struct LocalLearner {
+    run: u64,
+    sizes: Vec<u32>,
+    obs_dim: usize,
+    n_actions: usize,
+    mentor_len: usize,
+    weights: Weights,
+    ticks: Vec<SyncSender<Tick>>,
+    inbox: Receiver<ToLearner>,
+    mentor: SyncSender<Request>,
+}
+
+/// The mentor-server over channels.
+pub struct LocalMentor {
+    requests: Receiver<Request>,
+}
+
+/// The connected ends of `plan`'s run: learner, mentor-server, and one end for each actor.
+pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
+    let actors = plan.config.run.actors as usize;
+    let sizes: Vec<u32> = plan.sizes().into_iter().map(|n| n as u32).collect();
+    let weights = Weights::default();
+    let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
+    let (to_mentor, requests) = sync_channel(1);
+    let (ticks, receivers): (Vec<_>, Vec<_>) = (0..actors).map(|_| sync_channel(TICKS_BUFFER)).unzip();
+    let actors = receivers
+        .into_iter()
+        .map(|ticks| LocalActor {
+            run: plan.run,
+            sizes: sizes.clone(),
+            weights: weights.clone(),
+            ticks,
+            learner: to_learner.clone(),
+        })
+        .collect();
+    let learner = LocalLearner {
+        run: plan.run,
+        sizes,
+        obs_dim: plan.spec.obs_dim(),
+        n_actions: plan.spec.n_actions(),
+        mentor_len: plan.mentor_len,
+        weights,
+        ticks,
+        inbox,
+        mentor: to_mentor,
+    };
+    (learner, LocalMentor { requests }, actors)
+}
+
+fn gone(what: &'static str) -> LinkError {
+    LinkError::Receivers { what, found: 0, expected: 1 }
+}
+
+/// A timeout is no message; a closed channel is an error.
+fn waited<T>(result: Result<T, RecvTimeoutError>, what: &'static str) -> Result<Option<T>, LinkError> {
+    match result {
+        Ok(message) => Ok(Some(message)),
+        Err(RecvTimeoutError::Timeout) => Ok(None),
+        Err(RecvTimeoutError::Disconnected) => Err(gone(what)),
+    }
+}
+
+impl ActorLink for LocalActor {
+    fn hello(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError> {
+        let tick = waited(self.ticks.recv_timeout(timeout), "waiting for a tick")?;
+        if let Some(tick) = &tick {
+            tick.validate(self.run)?;
+        }
+        Ok(tick)
+    }
+
+    fn weights(&mut self, version: u64, into: &mut [f32]) -> Result<(), LinkError> {
+        let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
+        let (header, weights) = newest
+            .as_ref()
+            .ok_or_else(|| LinkError::Unexpected(format!("a tick for weights {version}, but no weights")))?;
+        header.receive(self.run, &self.sizes, weights, into)?;
+        if header.version == version {
+            return Ok(());
+        }
+        Err(WeightsError::Version { found: header.version, expected: version }.into())
+    }
+
+    fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
+        self.learner
+            .send(ToLearner::Batch(batch.header, batch.payload().to_vec()))
+            .map_err(|_| gone("a batch"))
+    }
+
+    fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError> {
+        self.learner.send(ToLearner::Reply(reply.clone())).map_err(|_| gone("a reply"))
+    }
+}
+
+impl LearnerLink for LocalLearner {
+    fn welcome(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
+        let header = WeightsHeader::new(self.run, version, &self.sizes, weights);
+        *self.weights.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, weights.to_vec()));
+        Ok(())
+    }
+
+    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
+        self.ticks.iter().try_for_each(|actor| actor.send(*tick).map_err(|_| gone("a tick")))
+    }
+
+    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+        match waited(self.inbox.recv_timeout(timeout), "waiting for actors")? {
+            None => Ok(None),
+            Some(ToLearner::Reply(reply)) => Ok(Some(FromActor::Reply(reply))),
+            Some(ToLearner::Batch(header, payload)) => {
+                let slot = batches
+                    .get_mut(header.actor as usize)
+                    .ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
+                slot.receive(header, &payload, self.obs_dim, self.n_actions)?;
+                Ok(Some(FromActor::Batch(header.actor)))
+            }
+        }
+    }
+
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        payload: &[u32],
+        into: &mut Observed,
+    ) -> Result<(), LinkError> {
+        const WHAT: &str = "a batch for its history";
+        let (answer, answers) = sync_channel(1);
+        self.mentor.send(Request::Observe(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
+        let (header, payload) =
+            answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
+        if header.status != OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        Ok(into.receive(&header, &payload, self.obs_dim, self.mentor_len)?)
+    }
+
+    fn query(
+        &mut self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+    ) -> Result<QueryAnswer, LinkError> {
+        const WHAT: &str = "a query";
+        let (answer, answers) = sync_channel(1);
+        self.mentor.send(Request::Query(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
+        let (header, payload) = answers.recv_timeout(QUERY_DEADLINE).map_err(|_| gone(WHAT))?;
+        if header.status != OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        *into = payload;
+        Ok(header)
+    }
+}
+
+impl MentorLink for LocalMentor {
+    fn hello(&mut self, _: &mut dyn MentorHandler, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
+        let mut words = Vec::new();
+        match waited(self.requests.recv_timeout(timeout), "waiting for requests")? {
+            None => Ok(0),
+            // A client that no longer waits for its answer is its own affair.
+            Some(Request::Observe(request, payload, answer)) => {
+                let header = handler.observe(&request, &payload, &mut words);
+                let _ = answer.send((header, words));
+                Ok(1)
+            }
+            Some(Request::Query(request, payload, answer)) => {
+                let header = handler.query(&request, &payload, &mut words);
+                let _ = answer.send((header, words));
+                Ok(1)
+            }
+        }
+    }
+}

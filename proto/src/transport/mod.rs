@@ -1,0 +1,154 @@
+//! How messages travel between the processes of a run: three narrow interfaces, one a role, and what implements
+//! them. Nothing outside this module knows iceoryx2.
+//!
+//! - [`iceoryx`]: shared memory between processes;
+//! - [`local`]: channels between threads of one process, for tests of the roles' loops.
+//!
+//! A call that waits returns when something came, when its time is over, or with an error; it never spins.
+
+pub mod iceoryx;
+pub mod local;
+
+use crate::annotation::AnnotationError;
+use crate::batch::{Batch, BatchError};
+use crate::mentor::MentorTransitionsError;
+use crate::observe::{ObserveAnswer, ObserveError, ObserveRequest, Observed};
+use crate::query::{QueryAnswer, QueryRequest};
+use crate::reply::Reply;
+use crate::tick::{Tick, TickError};
+use crate::weights::WeightsError;
+use std::time::Duration;
+
+/// A message that could not be sent, received or believed.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The transport itself failed.
+    #[error("{what}: {message}")]
+    Transport {
+        /// What was being done.
+        what: &'static str,
+        /// What the transport says.
+        message: String,
+    },
+    /// A message had no receiver.
+    #[error("{what} reached {found} receivers; {expected} are expected")]
+    Receivers {
+        /// What was sent.
+        what: &'static str,
+        /// How many received it.
+        found: usize,
+        /// How many should have.
+        expected: usize,
+    },
+    /// The other side did not answer in time.
+    #[error("no answer from {peer} within {waited_ms} ms: {what}")]
+    Deadline {
+        /// Who was asked.
+        peer: String,
+        /// What was asked.
+        what: &'static str,
+        /// For how long.
+        waited_ms: u128,
+    },
+    /// The mentor-server refused a request.
+    #[error("the mentor-server refuses {what}: {reason}")]
+    Refused {
+        /// What was asked.
+        what: &'static str,
+        /// Its reason.
+        reason: &'static str,
+    },
+    /// A message from an actor that this run does not have, or for a tick that is not due.
+    #[error("unexpected message: {0}")]
+    Unexpected(String),
+    /// Asked to leave while waiting.
+    #[error("interrupted while waiting for {0}")]
+    Interrupted(&'static str),
+    /// See [`BatchError`].
+    #[error(transparent)]
+    Batch(#[from] BatchError),
+    /// See [`TickError`].
+    #[error(transparent)]
+    Tick(#[from] TickError),
+    /// See [`WeightsError`].
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// See [`ObserveError`].
+    #[error(transparent)]
+    Observe(#[from] ObserveError),
+    /// See [`AnnotationError`].
+    #[error(transparent)]
+    Annotation(#[from] AnnotationError),
+    /// See [`MentorTransitionsError`].
+    #[error(transparent)]
+    MentorTransitions(#[from] MentorTransitionsError),
+}
+
+/// Tells a waiting process to leave.
+pub type Stop<'a> = &'a dyn Fn() -> bool;
+
+/// An actor's side.
+pub trait ActorLink {
+    /// Announces this actor until the learner has answered; nothing is sent before.
+    fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
+    /// The next tick, if one comes within `timeout`.
+    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError>;
+    /// Copies the newest published weights into `into`; they must be `version`.
+    fn weights(&mut self, version: u64, into: &mut [f32]) -> Result<(), LinkError>;
+    /// Sends one batch.
+    fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
+    /// Sends an evaluation or a snapshot.
+    fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError>;
+}
+
+/// What came from an actor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FromActor {
+    /// The batch of this actor, now in its place among the learner's batches.
+    Batch(u32),
+    /// An evaluation or a snapshot.
+    Reply(Reply),
+}
+
+/// The learner's side.
+pub trait LearnerLink {
+    /// Waits until every actor, and the mentor-server if the run has one, has announced itself.
+    fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
+    /// Publishes weights; the actors see the newest only.
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError>;
+    /// Sends a tick to every actor.
+    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError>;
+    /// The next message of any actor, if one comes within `timeout`. A batch is copied, checked and put at its
+    /// actor's position in `batches`.
+    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError>;
+    /// Hands history or annotations to the mentor-server and waits for its answer.
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        payload: &[u32],
+        into: &mut Observed,
+    ) -> Result<(), LinkError>;
+    /// Asks the mentor-server a question; the answer's payload replaces `into`.
+    fn query(
+        &mut self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+    ) -> Result<QueryAnswer, LinkError>;
+}
+
+/// What answers the mentor-server's requests.
+pub trait MentorHandler {
+    /// Carries `request` out; appends the answer's payload to `out`, which is empty.
+    fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer;
+    /// Answers `request`; appends the answer's payload to `out`, which is empty.
+    fn query(&mut self, request: &QueryRequest, payload: &[f32], out: &mut Vec<u32>) -> QueryAnswer;
+}
+
+/// The mentor-server's side.
+pub trait MentorLink {
+    /// Announces itself until the learner has answered, answering requests meanwhile.
+    fn hello(&mut self, handler: &mut dyn MentorHandler, stop: Stop<'_>) -> Result<(), LinkError>;
+    /// Answers what has come, or the first that comes within `timeout`; returns how many were answered.
+    fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError>;
+}

@@ -1,0 +1,243 @@
+//! The gradient of a weighted sum of Q-values.
+
+use crate::kernels::{After, ByColumn, ByRow, ColumnSums, OutputLayer, Product, Transpose};
+use crate::layout::Layout;
+use crate::net::Workspace;
+
+/// One term `dq * Q(x_row, action)` of the sum whose gradient [`backward`] takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowGrad {
+    /// Row of the last [`crate::forward_train`], from 0.
+    pub row: u32,
+    /// The taken action, from 0.
+    pub action: u32,
+    /// Derivative of the loss by this Q-value.
+    pub dq: f32,
+}
+
+/// Gradient of `sum over terms of dq * Q(x_row, action)` with respect to the parameters, where `x` are the
+/// rows of the last [`crate::forward_train`] on this workspace; `params` must be those of that call.
+///
+/// `grad` is overwritten. Rows that no term names contribute nothing and cost nothing; a row may be named
+/// more than once; without terms the gradient is 0. The terms are added up in the order given, on which the
+/// last bits may depend. A unit whose ReLU was exactly at 0 passes no gradient on, as in PyTorch.
+///
+/// # Panics
+/// If a slice has another length, there are more terms than the workspace has rows, a term names a row that
+/// was not computed or an action that does not exist, or the workspace has another layout.
+pub fn backward(
+    layout: &Layout,
+    params: &[f32],
+    ws: &mut Workspace,
+    grads_rows: &[RowGrad],
+    grad: &mut [f32],
+) {
+    assert_eq!(ws.layout.sizes(), layout.sizes(), "the workspace belongs to another layout");
+    assert_eq!(params.len(), layout.n_params(), "number of parameters");
+    assert_eq!(grad.len(), layout.n_params(), "length of the gradient");
+    let n = grads_rows.len();
+    assert!(n <= ws.max_rows, "{n} terms in a workspace for {}", ws.max_rows);
+    if n == 0 {
+        grad.fill(0.0);
+        return;
+    }
+    ws.rows.clear();
+    ws.actions.clear();
+    ws.dq.clear();
+    for term in grads_rows {
+        assert!((term.row as usize) < ws.trained_rows, "row {} of {}", term.row, ws.trained_rows);
+        assert!((term.action as usize) < layout.output(), "action {} of {}", term.action, layout.output());
+        ws.rows.push(term.row);
+        ws.actions.push(term.action);
+        ws.dq.push(term.dq);
+    }
+    output_layer(layout, params, ws, grad);
+    for l in (0..layout.layers().len() - 1).rev() {
+        hidden_layer(layout, params, ws, l, grad);
+    }
+}
+
+/// Gradient of the output layer; leaves that of its input in `ws.delta[0]`.
+fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut [f32]) {
+    let l = layout.layers().len() - 1;
+    let layer = layout.layers()[l];
+    let n_weights = layer.weights().len();
+    let weights_t: &[f32] = if l > 0 {
+        let out = &mut ws.weights_t[..n_weights];
+        ws.kernels.run(Transpose { x: &params[layer.weights()], columns: layer.outputs, out });
+        out
+    } else {
+        &[]
+    };
+    ws.grad_t.fill(0.0);
+    ws.kernels.run(OutputLayer {
+        width: layer.inputs,
+        hidden: &ws.inputs[l],
+        rows: &ws.rows,
+        actions: &ws.actions,
+        dq: &ws.dq,
+        weights_t,
+        grad_t: &mut ws.grad_t,
+        delta: (l > 0).then_some(&mut ws.delta[0][..]),
+    });
+    ws.kernels.run(Transpose { x: &ws.grad_t, columns: layer.inputs, out: &mut grad[layer.weights()] });
+    let bias = &mut grad[layer.bias()];
+    bias.fill(0.0);
+    for (&action, &dq) in ws.actions.iter().zip(&ws.dq) {
+        bias[action as usize] += dq;
+    }
+}
+
+/// Gradient of hidden layer `l` from that of its output in `ws.delta[0]`; leaves that of its input there.
+fn hidden_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, l: usize, grad: &mut [f32]) {
+    let layer = layout.layers()[l];
+    let n = ws.rows.len();
+    let [delta, next] = &mut ws.delta;
+    let delta = &delta[..n * layer.outputs];
+    ws.kernels.run(Product {
+        rows: layer.inputs,
+        inner: n,
+        columns: layer.outputs,
+        left: ByColumn { x: &ws.inputs[l], width: layer.inputs, picked: &ws.rows },
+        right: delta,
+        bias: None,
+        after: After::Keep,
+        out: &mut grad[layer.weights()],
+    });
+    ws.kernels.run(ColumnSums { x: delta, out: &mut grad[layer.bias()] });
+    if l == 0 {
+        return;
+    }
+    let weights_t = &mut ws.weights_t[..layer.weights().len()];
+    ws.kernels.run(Transpose { x: &params[layer.weights()], columns: layer.outputs, out: weights_t });
+    ws.kernels.run(Product {
+        rows: n,
+        inner: layer.outputs,
+        columns: layer.inputs,
+        left: ByRow(delta),
+        right: weights_t,
+        bias: None,
+        after: After::Gate { activations: &ws.inputs[l], picked: &ws.rows },
+        out: next,
+    });
+    ws.delta.swap(0, 1);
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::kernels::{Isa, Kernels};
+    use crate::layout::init;
+    use crate::net::{forward, forward_train};
+
+    struct Case {
+        layout: Layout,
+        params: Vec<f32>,
+        x: Vec<f32>,
+        terms: Vec<RowGrad>,
+    }
+
+    fn case(sizes: &[usize], rows: usize, terms: usize, seed: u64) -> Case {
+        let layout = Layout::new(sizes).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let params = init(&layout, &mut rng);
+        let x = (0..rows * layout.input()).map(|_| rng.random_range(-2.0..2.0)).collect();
+        let mut term = || RowGrad {
+            row: rng.random_range(0..rows as u32),
+            action: rng.random_range(0..layout.output() as u32),
+            dq: rng.random_range(-1.0..1.0),
+        };
+        let terms = (0..terms).map(|_| term()).collect();
+        Case { layout, params, x, terms }
+    }
+
+    fn gradient(case: &Case, isa: Isa) -> Vec<f32> {
+        let Case { layout, params, x, terms } = case;
+        let rows = x.len() / layout.input();
+        let kernels = Kernels::new(isa).unwrap();
+        let mut ws = Workspace::with_kernels(layout, rows.max(terms.len()).max(1), kernels);
+        let mut q = vec![0.0; rows * layout.output()];
+        forward_train(layout, params, x, rows, &mut ws, &mut q);
+        // Neither another forward pass nor leftovers of an earlier gradient may matter.
+        forward(layout, params, &vec![9.0; layout.input()], 1, &mut ws, &mut q[..layout.output()]);
+        let mut grad = vec![f32::NAN; layout.n_params()];
+        backward(layout, params, &mut ws, &terms[..terms.len() / 2], &mut grad);
+        backward(layout, params, &mut ws, terms, &mut grad);
+        grad
+    }
+
+    /// The textbook backward pass in `f64`.
+    fn naive(case: &Case) -> Vec<f64> {
+        let Case { layout, params, x, terms } = case;
+        let param = |at: usize| f64::from(params[at]);
+        let mut grad = vec![0.0; layout.n_params()];
+        for term in terms {
+            let row = &x[term.row as usize * layout.input()..][..layout.input()];
+            let mut inputs = vec![row.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>()];
+            for layer in layout.layers() {
+                let x = &inputs[inputs.len() - 1];
+                let unit = |j: usize| {
+                    let weight = |i: usize| param(layer.offset + i * layer.outputs + j);
+                    (0..layer.inputs)
+                        .fold(param(layer.bias().start + j), |sum, i| sum + x[i] * weight(i))
+                        .max(0.0)
+                };
+                let output = (0..layer.outputs).map(unit).collect();
+                inputs.push(output);
+            }
+            let mut delta = vec![0.0; layout.output()];
+            delta[term.action as usize] = f64::from(term.dq);
+            for (l, layer) in layout.layers().iter().enumerate().rev() {
+                let x = &inputs[l];
+                let mut below = vec![0.0; layer.inputs];
+                for j in 0..layer.outputs {
+                    grad[layer.bias().start + j] += delta[j];
+                    for i in 0..layer.inputs {
+                        let at = layer.offset + i * layer.outputs + j;
+                        grad[at] += x[i] * delta[j];
+                        if x[i] > 0.0 {
+                            below[i] += param(at) * delta[j];
+                        }
+                    }
+                }
+                delta = below;
+            }
+        }
+        grad
+    }
+
+    proptest! {
+        #[test]
+        fn equals_the_textbook_and_is_the_same_on_every_instruction_set(
+            sizes in prop::collection::vec(1usize..50, 2..6), rows in 1usize..20, terms in 0usize..20, seed: u64,
+        ) {
+            let case = case(&sizes, rows, terms, seed);
+            let grad = gradient(&case, Isa::Scalar);
+            let exact = naive(&case);
+            let largest = exact.iter().fold(1e-3, |max: f64, g| max.max(g.abs()));
+            for (at, (&got, &exact)) in grad.iter().zip(&exact).enumerate() {
+                prop_assert!((f64::from(got) - exact).abs() < 1e-4 * largest, "{}: {} {}", at, got, exact);
+            }
+            for isa in Isa::available() {
+                let bits = |grad: &[f32]| grad.iter().map(|g| g.to_bits()).collect::<Vec<u32>>();
+                prop_assert_eq!(bits(&gradient(&case, isa)), bits(&grad), "{}", isa);
+            }
+        }
+    }
+
+    #[test]
+    fn rows_that_are_not_listed_do_not_matter() {
+        let mut case = case(&[3, 17, 5], 6, 0, 1);
+        case.terms = vec![RowGrad { row: 4, action: 2, dq: 0.5 }, RowGrad { row: 1, action: 0, dq: -1.0 }];
+        let expected = gradient(&case, Isa::Scalar);
+        for row in [0, 2, 3, 5] {
+            case.x[row * 3..][..3].fill(f32::NAN);
+        }
+        assert_eq!(gradient(&case, Isa::Scalar), expected);
+    }
+}

@@ -1,0 +1,36 @@
+//! The Q-network as one flat parameter vector: layout, input encoding, forward pass, gradient step and Adam.
+//!
+//! A network is a [`Layout`] (how many units in which layer) and a `&[f32]` (every weight and bias, in one
+//! fixed order). All that a process does with a network is a plain function over these two:
+//!
+//! * [`encode`]: from an environment's observation to the network's input;
+//! * [`forward`], [`forward_train`], [`backward()`]: values, and the gradient of any weighted sum of them;
+//! * [`Loss`], [`Adam`], [`clip_grad_norm`]: what turns values and targets into the next parameters;
+//! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
+//! * [`network_of`]: the shape that a run's plan asks for;
+//! * [`autodiff`]: the same loss and gradient through candle's automatic differentiation.
+//!
+//! The arithmetic lives in [`kernels`], which picks an instruction set at run time and gives the same bits on
+//! every one of them. This crate knows nothing of replay buffers, mentors or processes.
+
+pub mod adam;
+pub mod autodiff;
+pub mod encode;
+pub mod kernels;
+pub mod layout;
+pub mod loss;
+pub mod net;
+pub mod qnetwork;
+pub mod run;
+
+mod backward;
+
+pub use adam::{Adam, AdamConfig, AdamError, clip_grad_norm};
+pub use backward::{RowGrad, backward};
+pub use encode::{Encoding, EncodingError};
+pub use kernels::{Isa, Kernels};
+pub use layout::{Layer, Layout, LayoutError, init};
+pub use loss::{Loss, LossError};
+pub use net::{Workspace, argmax, forward, forward_train};
+pub use qnetwork::{NetworkError, QNetwork};
+pub use run::{PlanError, network_of};

@@ -1,0 +1,244 @@
+//! Values of a network: the forward pass, for acting and for training.
+
+use crate::kernels::{After, ByRow, Kernels, Product};
+use crate::layout::{Layer, Layout};
+
+/// Scratch memory for networks of one layout and batches up to a fixed number of rows.
+///
+/// All of it is allocated on construction; no function of this crate that takes a workspace allocates. Its
+/// size is `max_rows` times (input + all hidden widths + four times the widest of them) plus at most twice
+/// the largest weight matrix, in `f32`.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    pub(crate) kernels: Kernels,
+    pub(crate) layout: Layout,
+    pub(crate) max_rows: usize,
+    /// Input of each layer, `[max_rows][inputs]`, as the last [`forward_train`] left them.
+    pub(crate) inputs: Vec<Vec<f32>>,
+    /// How many rows of `inputs` the last [`forward_train`] filled.
+    pub(crate) trained_rows: usize,
+    /// Hidden layers of [`forward`], in turns: apart from `inputs`, so that a forward pass of the target
+    /// network may come between [`forward_train`] and [`crate::backward()`].
+    hidden: [Vec<f32>; 2],
+    /// Gradients of hidden layers in turns.
+    pub(crate) delta: [Vec<f32>; 2],
+    /// A layer's weights, transposed.
+    pub(crate) weights_t: Vec<f32>,
+    /// Gradient of the output layer's weights, transposed.
+    pub(crate) grad_t: Vec<f32>,
+    /// The gradient's rows, field by field.
+    pub(crate) rows: Vec<u32>,
+    pub(crate) actions: Vec<u32>,
+    pub(crate) dq: Vec<f32>,
+}
+
+impl Workspace {
+    /// Scratch memory for batches of up to `max_rows` rows, on the fastest instruction set of this machine.
+    ///
+    /// # Panics
+    /// If `max_rows` is 0 or above `u32::MAX`.
+    pub fn new(layout: &Layout, max_rows: usize) -> Workspace {
+        Workspace::with_kernels(layout, max_rows, Kernels::detect())
+    }
+
+    /// Scratch memory for batches of up to `max_rows` rows, on a given instruction set.
+    ///
+    /// # Panics
+    /// If `max_rows` is 0 or above `u32::MAX`.
+    pub fn with_kernels(layout: &Layout, max_rows: usize, kernels: Kernels) -> Workspace {
+        assert!(max_rows > 0 && u32::try_from(max_rows).is_ok(), "max_rows is {max_rows}");
+        let rows_of = |width: usize| vec![0.0; max_rows * width];
+        let hidden = layout.max_hidden();
+        let weights = |layer: &Layer| layer.weights().len();
+        let layers = layout.layers();
+        Workspace {
+            kernels,
+            layout: layout.clone(),
+            max_rows,
+            inputs: layers.iter().map(|layer| rows_of(layer.inputs)).collect(),
+            trained_rows: 0,
+            hidden: [rows_of(hidden), rows_of(hidden)],
+            delta: [rows_of(hidden), rows_of(hidden)],
+            weights_t: vec![0.0; layers[1..].iter().map(weights).max().unwrap_or(0)],
+            grad_t: vec![0.0; layers.last().map_or(0, weights)],
+            rows: Vec::with_capacity(max_rows),
+            actions: Vec::with_capacity(max_rows),
+            dq: Vec::with_capacity(max_rows),
+        }
+    }
+
+    /// The largest number of rows.
+    pub fn max_rows(&self) -> usize {
+        self.max_rows
+    }
+
+    /// The kernels that run on it.
+    pub fn kernels(&self) -> Kernels {
+        self.kernels
+    }
+
+    /// Panics unless the arguments of a forward pass fit together.
+    fn check(&self, layout: &Layout, params: &[f32], x: &[f32], rows: usize, out: &[f32]) {
+        assert_eq!(self.layout.sizes(), layout.sizes(), "the workspace belongs to another layout");
+        assert_eq!(params.len(), layout.n_params(), "number of parameters");
+        assert!(rows > 0 && rows <= self.max_rows, "{rows} rows in a workspace for {}", self.max_rows);
+        assert_eq!(x.len(), rows * layout.input(), "length of the input");
+        assert_eq!(out.len(), rows * layout.output(), "length of the output");
+    }
+}
+
+/// Q-values of `rows` inputs: `x` is `[rows][input]`, `out` is `[rows][output]` and is overwritten.
+///
+/// The bits of a row's result do not depend on the other rows, nor on the instruction set. Leaves what
+/// [`forward_train`] kept untouched.
+///
+/// # Panics
+/// If a slice has another length, `rows` is 0 or above the workspace's, or the workspace has another layout.
+pub fn forward(layout: &Layout, params: &[f32], x: &[f32], rows: usize, ws: &mut Workspace, out: &mut [f32]) {
+    ws.check(layout, params, x, rows, out);
+    let last = layout.layers().len() - 1;
+    let [from, to] = &mut ws.hidden;
+    let (mut from, mut to) = (from, to);
+    for (l, layer) in layout.layers().iter().enumerate() {
+        let input = if l == 0 { x } else { &from[..rows * layer.inputs] };
+        let output = if l == last { &mut *out } else { &mut to[..] };
+        dense(ws.kernels, layer, params, input, rows, l < last, output);
+        std::mem::swap(&mut from, &mut to);
+    }
+}
+
+/// The same as [`forward`], and keeps every layer's input in the workspace for [`crate::backward()`].
+///
+/// # Panics
+/// As [`forward`].
+pub fn forward_train(
+    layout: &Layout,
+    params: &[f32],
+    x: &[f32],
+    rows: usize,
+    ws: &mut Workspace,
+    out: &mut [f32],
+) {
+    ws.check(layout, params, x, rows, out);
+    ws.inputs[0][..x.len()].copy_from_slice(x);
+    ws.trained_rows = rows;
+    let last = layout.layers().len() - 1;
+    for (l, layer) in layout.layers().iter().enumerate() {
+        let (done, ahead) = ws.inputs.split_at_mut(l + 1);
+        let output = if l == last { &mut *out } else { &mut ahead[0][..] };
+        dense(ws.kernels, layer, params, &done[l][..rows * layer.inputs], rows, l < last, output);
+    }
+}
+
+/// One dense layer on `rows` rows.
+fn dense(
+    kernels: Kernels,
+    layer: &Layer,
+    params: &[f32],
+    input: &[f32],
+    rows: usize,
+    relu: bool,
+    output: &mut [f32],
+) {
+    kernels.run(Product {
+        rows,
+        inner: layer.inputs,
+        columns: layer.outputs,
+        left: ByRow(input),
+        right: &params[layer.weights()],
+        bias: Some(&params[layer.bias()]),
+        after: if relu { After::Relu } else { After::Keep },
+        out: output,
+    });
+}
+
+/// Index of the largest number; of equal ones the lowest index. NaN counts as smaller than everything, and a
+/// slice of nothing but NaN, or an empty one, gives 0.
+#[inline]
+pub fn argmax(values: &[f32]) -> usize {
+    let mut best = 0;
+    for (i, &value) in values.iter().enumerate() {
+        if value > values[best] || (values[best].is_nan() && !value.is_nan()) {
+            best = i;
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::kernels::Isa;
+    use crate::layout::init;
+
+    /// A forward pass of one row, element by element.
+    fn naive(layout: &Layout, params: &[f32], x: &[f32]) -> Vec<f32> {
+        let mut x = x.to_vec();
+        for (l, layer) in layout.layers().iter().enumerate() {
+            let (w, b) = (&params[layer.weights()], &params[layer.bias()]);
+            let unit = |j: usize| {
+                let sum = (0..layer.inputs).fold(b[j], |sum, i| x[i].mul_add(w[i * layer.outputs + j], sum));
+                if l + 1 < layout.layers().len() { sum.max(0.0) } else { sum }
+            };
+            x = (0..layer.outputs).map(unit).collect();
+        }
+        x
+    }
+
+    proptest! {
+        #[test]
+        fn both_passes_equal_naive_on_every_instruction_set(
+            sizes in prop::collection::vec(1usize..90, 2..6), rows in 1usize..15, seed: u64,
+        ) {
+            let layout = Layout::new(&sizes).unwrap();
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let params = init(&layout, &mut rng);
+            let x: Vec<f32> = (0..rows * layout.input()).map(|_| rng.random_range(-2.0..2.0)).collect();
+            let expected: Vec<f32> =
+                x.chunks(layout.input()).flat_map(|row| naive(&layout, &params, row)).collect();
+            for isa in Isa::available() {
+                let mut ws = Workspace::with_kernels(&layout, rows + 1, Kernels::new(isa).unwrap());
+                let mut out = vec![f32::NAN; rows * layout.output()];
+                forward(&layout, &params, &x, rows, &mut ws, &mut out);
+                prop_assert_eq!(&out, &expected, "{}", isa);
+                out.fill(f32::NAN);
+                forward_train(&layout, &params, &x, rows, &mut ws, &mut out);
+                prop_assert_eq!(&out, &expected, "{}", isa);
+                let single = &mut out[..layout.output()];
+                forward(&layout, &params, &x[..layout.input()], 1, &mut ws, single);
+                prop_assert_eq!(&*single, &expected[..layout.output()], "{}", isa);
+            }
+        }
+
+        #[test]
+        fn argmax_is_the_first_maximum(values in prop::collection::vec(-3i8..3, 1..12)) {
+            let floats: Vec<f32> = values.iter().map(|&v| f32::from(v)).collect();
+            let max = values.iter().max().unwrap();
+            prop_assert_eq!(Some(argmax(&floats)), values.iter().position(|v| v == max));
+        }
+    }
+
+    #[test]
+    fn argmax_skips_nan() {
+        assert_eq!(argmax(&[f32::NAN, -1.0, f32::NAN, 2.0, 2.0]), 3);
+        assert_eq!(argmax(&[f32::NAN, f32::NEG_INFINITY]), 1);
+        assert_eq!(argmax(&[f32::NAN; 3]), 0);
+        assert_eq!(argmax(&[-0.0, 0.0]), 0);
+        assert_eq!(argmax(&[]), 0);
+    }
+
+    #[test]
+    fn a_diverged_network_shows() {
+        let layout = Layout::new(&[1, 2, 1]).unwrap();
+        let mut params = vec![1.0; layout.n_params()];
+        params[0] = f32::NAN;
+        let mut out = [0.0];
+        forward(&layout, &params, &[1.0], 1, &mut Workspace::new(&layout, 1), &mut out);
+        assert!(out[0].is_nan());
+    }
+}

@@ -1,0 +1,86 @@
+//! A run's outcome is a function of its configuration and its seed.
+
+use crate::util::{Place, Trace, assert_gone, available, start, start_under};
+use std::fs;
+
+const ARGS: [&str; 5] = ["maze-small", "--env-steps", "10000", "--seed", "11"];
+
+fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    [&ARGS, more].concat()
+}
+
+/// The first processor that this process may use.
+fn first_processor() -> String {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let list = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:")).unwrap();
+    list.trim().split([',', '-']).next().unwrap().into()
+}
+
+/// Two runs, a pinned one and the single-process loop agree; returns what they agree on.
+fn agree(more: &[&str]) -> Trace {
+    let place = Place::new();
+    let args = with(more);
+    let first = place.train("first", &args);
+    assert!(first.result.grad_steps > 1000 && first.evals.len() > 2, "{:?}", first.result);
+    assert_eq!(place.train("second", &args), first);
+    assert_eq!(place.train("reference", &[&args[..], &["--mode", "reference"]].concat()), first);
+    let processor = first_processor();
+    if available(&["taskset", "-c", &processor, "true"]) {
+        let pinned = place.training("pinned", &args);
+        start_under(&["taskset", "-c", &processor], &pinned).finish().ok();
+        assert_gone(&place.run("pinned"));
+        assert_eq!(Trace::of(&place.run("pinned")), first);
+    }
+    first
+}
+
+#[test]
+fn one_actor() {
+    let seed_11 = agree(&[]);
+    let place = Place::new();
+    let seed_12 = place.train("other", &["maze-small", "--env-steps", "10000", "--seed", "12"]);
+    assert_ne!(seed_12.weights_sha256, seed_11.weights_sha256);
+    assert_ne!(seed_12.episodes, seed_11.episodes);
+}
+
+#[test]
+fn two_actors() {
+    let two = agree(&["--actors", "2"]);
+    assert_ne!(two.weights_sha256, Place::new().train("one", &ARGS).weights_sha256);
+}
+
+#[test]
+fn one_actor_with_lag() {
+    let lag = agree(&["--set", "run.lag=1"]);
+    assert_ne!(lag.weights_sha256, Place::new().train("none", &ARGS).weights_sha256);
+}
+
+#[test]
+fn three_actors_with_lag() {
+    agree(&["--actors", "3", "--set", "run.lag=1", "--set", "run.rollout=7"]);
+}
+
+#[test]
+fn plain_learning_and_the_paper_variants() {
+    let place = Place::new();
+    let variants: [&[&str]; 4] = [
+        &["--algo", "dqn"],
+        &["--algo", "diiqn", "--actors", "2"],
+        &["--set", "mentor.selection=confidence", "--set", "learner.target=hard"],
+        &[
+            "--set",
+            "env.encoding=one-hot",
+            "--set",
+            "mentor.reward=observer",
+            "--set",
+            "learner.backend=candle",
+        ],
+    ];
+    for (i, variant) in variants.iter().enumerate() {
+        let args = [&["maze-small", "--env-steps", "4000", "--seed", "2"], *variant].concat();
+        let lockstep = place.train(&format!("lockstep-{i}"), &args);
+        let reference =
+            place.train(&format!("reference-{i}"), &[&args[..], &["--mode", "reference"]].concat());
+        assert_eq!(lockstep, reference, "{variant:?}");
+    }
+}

@@ -1,0 +1,206 @@
+//! Mistakes: each is refused before anything starts, by its name, its value and what is accepted, and leaves
+//! everything as it was.
+
+use crate::util::{LIMIT, Outcome, Place, Trace, dead_runs, start, tree, trestle, wait_until};
+use std::fs;
+
+/// Runs `args`, which must be refused with all of `words` and change nothing.
+fn refused(place: &Place, args: &[&str], words: &[&str]) -> Outcome {
+    let (files, dead) = (tree(place.root()), dead_runs());
+    let outcome = trestle(args).refused(words);
+    assert!(outcome.stderr.lines().count() < 12, "a message, not a flood: {outcome:?}");
+    assert!(!outcome.stderr.contains("panicked") && outcome.stdout.is_empty(), "{outcome:?}");
+    assert!(tree(place.root()) == files, "{args:?} changed files");
+    // Other tests' runs may be on their way out just now.
+    assert!(wait_until(LIMIT, || dead_runs().iter().all(|run| dead.contains(run))));
+    outcome
+}
+
+/// Refuses a training with `args` in a new directory.
+fn refused_training(place: &Place, args: &[&str], words: &[&str]) {
+    let out = place.path("runs/never");
+    refused(place, &[&["train", "--episodes", "3", "--out", &out], args].concat(), words);
+}
+
+#[test]
+fn maps() {
+    let place = Place::new();
+    let cases: [(&str, &[u8], &[&str]); 9] = [
+        ("ragged", b"S..\n..\n..G\n", &["line 2", "2 characters", "accepted: 3"]),
+        ("two-starts", b"S.S\n..G\n", &["line 1, column 3", "second `S`", "exactly one"]),
+        ("two-goals", b"S.G\n..G\n", &["line 2, column 3", "second `G`", "exactly one"]),
+        ("no-start", b"...\n..G\n", &["without a `S`", "exactly one"]),
+        ("no-goal", b"S..\n...\n", &["without a `G`", "exactly one"]),
+        ("unknown", b"S.x\n..G\n", &["line 1, column 3", "'x'", "accepted: # . S G"]),
+        ("walled", b"S#.\n##.\n..G\n", &["goal `G` cannot be reached", "line 1, column 1", "irregular"]),
+        ("empty", b"", &["the map is empty", "accepted"]),
+        ("bytes", b"S.\xff\n..G\n", &["line 1, column 3", "not UTF-8"]),
+    ];
+    for (name, text, words) in cases {
+        let map = format!("env.map={}", place.write(name, text));
+        refused_training(&place, &["maze-small", "--set", &map], &[words, &[name]].concat());
+        refused(&place, &["config", "check", "maze-small", "--set", &map], words);
+    }
+    for map in ["no-such.txt", "random:1:2x2", "random:x:9x9"] {
+        let set = format!("env.map={map}");
+        refused_training(&place, &["maze-small", "--set", &set], &[map, "accepted"]);
+    }
+    // The mentor walks N, E, S, W: what it cannot reach, it cannot show.
+    let diagonal = place.write("diagonal", "S#\n#G\n");
+    let sets = ["--set", &format!("env.map={diagonal}"), "--set", "env.actions=both", "--set"];
+    let both = "env.action_sets.both=[\"N\",\"E\",\"S\",\"W\",\"SE\"]";
+    refused_training(
+        &place,
+        &[&["maze-small"], &sets[..], &[both]].concat(),
+        &["cannot be reached", "regular"],
+    );
+}
+
+#[test]
+fn settings() {
+    let place = Place::new();
+    let cases: [(&str, &[&str]); 18] = [
+        ("learner.gamma=1.5", &["learner.gamma = 1.5", "accepted: 0 to 1"]),
+        ("learner.lr=0", &["learner.lr = 0", "above 0"]),
+        ("learner.lr=nan", &["learner.lr = NaN", "above 0"]),
+        ("learner.batch=0", &["learner.batch = 0", "1 to 1024"]),
+        ("learner.batch=many", &["learner.batch", "many"]),
+        ("learner.hidden=[]", &["learner.hidden = []", "1 to 6 layers"]),
+        ("learner.hidden=[64, 0]", &["learner.hidden = 0", "1 to 4096"]),
+        ("learner.replay=8", &["learner.replay = 8", "learner.batch"]),
+        ("learner.gama=0.9", &["learner", "gama", "gamma"]),
+        ("run.actors=65", &["run.actors = 65", "1 to 64"]),
+        ("run.rollout=4097", &["run.rollout = 4097", "1 to 4096"]),
+        ("run.lag=2", &["run.lag = 2", "0 or 1"]),
+        ("run.seed=-1", &["run.seed", "-1"]),
+        ("run.algo=sarsa", &["run.algo", "sarsa", "ha-diiqn"]),
+        ("mentor.k=0", &["mentor.k = 0", "1 to 64"]),
+        ("env.actions=none", &["env.actions = none", "irregular"]),
+        ("nonsense.key=1", &["nonsense"]),
+        ("learner.lr", &["learner.lr", "key=value"]),
+    ];
+    for (set, words) in cases {
+        refused_training(&place, &["maze-small", "--set", set], words);
+        refused(&place, &["config", "check", "maze-small", "--set", set], words);
+    }
+}
+
+#[test]
+fn files_and_presets() {
+    let place = Place::new();
+    refused_training(&place, &["maze31"], &["maze31", "maze30", "maze-small"]);
+    let broken = place.write("broken.toml", "[run\nseed = 1\n");
+    refused_training(&place, &[&broken], &["broken.toml", "not valid TOML", "line 1"]);
+    let unknown = place.write("unknown.toml", "base = \"maze-small\"\n[lerner]\nlr = 1.0\n");
+    refused_training(&place, &[&unknown], &["lerner", "learner"]);
+    let typed = place.write("typed.toml", "base = \"maze-small\"\n[learner]\nlr = \"fast\"\n");
+    refused_training(&place, &[&typed], &["learner.lr", "fast"]);
+    let base = place.write("base.toml", "base = \"maze31\"\n");
+    refused_training(&place, &[&base], &["maze31", "maze-small"]);
+    let directory = place.root().to_str().unwrap().to_string();
+    refused_training(&place, &[&directory], &[&directory, "not a file"]);
+    let endless = place.write("endless.toml", "[run]\nseed = 1\n");
+    let out = place.path("never");
+    refused(&place, &["train", &endless, "--out", &out], &["run.episodes", "run.env_steps"]);
+}
+
+#[test]
+fn flags() {
+    let place = Place::new();
+    refused_training(&place, &["maze-small", "--sed", "1"], &["--sed", "--seed"]);
+    refused_training(&place, &["maze-small", "--seed", "x"], &["x", "--seed"]);
+    refused_training(&place, &["maze-small", "--algo", "sarsa"], &["sarsa", "dqn, diiqn, ha-diiqn"]);
+    refused_training(&place, &["maze-small", "--mode", "fast"], &["fast", "lockstep"]);
+    refused_training(&place, &["maze-small", "--resume", "--overwrite"], &["--resume", "--overwrite"]);
+    refused_training(&place, &["maze-small", "--actors", "0"], &["run.actors = 0", "1 to 64"]);
+    refused_training(
+        &place,
+        &["maze-small", "--seed", "18446744073709551615"],
+        &["seed", "18446744073709551615"],
+    );
+    refused(&place, &["train", "maze-small", "--episodes", "0"], &["run.episodes = 0", "1 or more"]);
+    refused(&place, &["train"], &["PRESET|CONFIG.TOML"]);
+    refused(&place, &["trian"], &["trian", "train"]);
+    refused(&place, &["eval", &place.path("none")], &["none", "not a run's directory"]);
+    refused(&place, &["eval", &place.path("none"), "--episodes", "0"], &["0", "1..=4096"]);
+    for role in ["learner", "mentor-server"] {
+        refused(&place, &[role, "--run", &place.path("none")], &["none", "not a run's directory"]);
+    }
+}
+
+#[test]
+fn demonstrations() {
+    let place = Place::new();
+    let cases: [(&str, &str, &[&str]); 9] = [
+        ("header", "a,b,c\n0,0,1,1\n", &["row 1", "`a`", "`trajectory`"]),
+        ("text", "trajectory,terminal,x,y\n0,0,1,one\n0,1,1,2\n", &["row 2", "y", "`one`", "finite"]),
+        ("nan", "trajectory,terminal,x,y\n0,0,1,NaN\n0,1,1,2\n", &["row 2", "`NaN`", "finite"]),
+        (
+            "columns",
+            "trajectory,terminal,x,y\n0,0,1\n0,1,1,2\n",
+            &["row 2", "columns", "is 3", "accepted: 4"],
+        ),
+        ("terminal", "trajectory,terminal,x,y\n0,2,1,1\n0,1,1,2\n", &["row 2", "terminal", "`2`", "0 or 1"]),
+        ("short", "trajectory,terminal,x,y\n0,1,1,1\n", &["trajectory 0", "2 rows or more"]),
+        ("none", "trajectory,terminal,x,y\n", &["missing", "2 rows or more"]),
+        ("torn", "trajectory,terminal,x,y\n0,0,1,1\n0,1,1,2\n0,0,3,3\n", &["row 4", "terminal"]),
+        ("dim", "trajectory,terminal,x\n0,0,1\n0,1,2\n", &["1 features", "accepted: 2"]),
+    ];
+    for (name, text, words) in cases {
+        let path = place.write(&format!("{name}.csv"), text);
+        let set = format!("mentor.demo={path}");
+        refused_training(&place, &["maze-small", "--set", &set], &[words, &[path.as_str()]].concat());
+        refused(&place, &["demo", "inspect", &path, "--config", "maze-small"], words);
+    }
+    refused_training(&place, &["maze-small", "--set", "mentor.demo=no-such.csv"], &["no-such.csv"]);
+    let taken = place.write("taken.csv", "something");
+    refused(&place, &["demo", "plan", "maze-small", "--out", &taken], &["taken.csv exists", "--overwrite"]);
+}
+
+#[test]
+fn directories() {
+    let place = Place::new();
+    let train = ["maze-small", "--env-steps", "2000", "--seed", "1"];
+    let out = |name: &str| ["--out".to_string(), place.path(name)];
+    let refused_in = |name: &str, more: &[&str], words: &[&str]| {
+        let out = out(name);
+        let args = [&["train"], &train[..], &[&out[0], &out[1]], more].concat();
+        refused(&place, &args, words)
+    };
+    place.train("run", &train);
+    refused_in("run", &[], &["run exists", "--resume", "--overwrite"]);
+    refused_in("none", &["--resume"], &["--resume", "none"]);
+    fs::create_dir(place.root().join("empty")).unwrap();
+    refused_in("empty", &["--resume"], &["--resume", "empty"]);
+    fs::create_dir(place.root().join("photos")).unwrap();
+    place.write("photos/cat.jpg", "miaow");
+    refused_in("photos", &[], &["photos exists"]);
+    refused_in("photos", &["--overwrite"], &["--overwrite", "photos", "not a run"]);
+    place.write("file", "text");
+    for how in [&[][..], &["--overwrite"], &["--resume"]] {
+        refused_in("file", how, &["file"]);
+    }
+    refused_in("file/below", &[], &["file/below"]);
+    // Without a checkpoint there is nothing to go on from.
+    fs::remove_dir_all(place.run("run").checkpoints()).unwrap();
+    refused_in("run", &["--resume"], &["--resume", "no complete checkpoint"]);
+}
+
+#[test]
+fn an_existing_run_is_replaced_whole_or_not_at_all() {
+    let place = Place::new();
+    let train = |seed| ["maze-small", "--env-steps", "2000", "--seed", seed, "--overwrite"];
+    let first = place.train("run", &train("1"));
+    fs::write(place.root().join("run/note.txt"), "of the first").unwrap();
+    let bad = [&train("2")[..], &["--set", "env.map=none.txt"]].concat();
+    let (files, args) = (tree(place.root()), place.training("run", &bad));
+    start(&args).finish().refused(&["none.txt"]);
+    assert!(tree(place.root()) == files);
+    assert_eq!(Trace::of(&place.run("run")), first);
+    let second = place.train("run", &train("2"));
+    assert_ne!(second.weights_sha256, first.weights_sha256);
+    assert!(!place.root().join("run/note.txt").exists());
+    assert_eq!(fs::read_dir(place.root()).unwrap().count(), 1, "the old one is gone");
+    fs::create_dir(place.root().join("empty")).unwrap();
+    place.train("empty", &train("2")[..5]);
+}

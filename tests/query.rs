@@ -1,0 +1,123 @@
+//! `mentor/query`: any process may ask a running mentor-server, and the run does not notice.
+
+use crate::util::{LIMIT, Place, Trace, assert_gone, domain, start, wait_until};
+use std::time::Duration;
+use trestle_proto::annotation::{AnnotationTable, record_words};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{ANNOTATIONS, BRIDGE, QueryRequest, SIMILAR, STATS, Stats, TRANSITIONS};
+use trestle_proto::transport::LinkError;
+use trestle_proto::transport::iceoryx::QueryClient;
+
+const ARGS: [&str; 5] = ["maze-small", "--env-steps", "60000", "--seed", "9"];
+const DEADLINE: Duration = Duration::from_secs(10);
+
+/// A client and what it must know to judge the answers.
+struct Asker {
+    client: QueryClient,
+    plan: RunPlan,
+    answer: Vec<u32>,
+}
+
+impl Asker {
+    fn ask(&mut self, op: u32, first: u32, count: u32, state: &[f32]) -> Result<u32, LinkError> {
+        let request = QueryRequest { op, first, count, obs_dim: 2, ..QueryRequest::default() };
+        let header = self.client.ask(&request, state, &mut self.answer, DEADLINE)?;
+        Ok(header.count)
+    }
+
+    /// One question of each kind, every answer checked.
+    fn round(&mut self, transitions: &MentorTransitions) -> Result<Stats, LinkError> {
+        let len = self.plan.mentor_len as u32;
+        self.ask(STATS, 0, 0, &[])?;
+        let [mentor, feasible, bridged, stored, bridge_len_mean, e_kl_mean] = self.answer[..] else {
+            panic!("six words are expected: {:?}", self.answer);
+        };
+        let (bridge_len_mean, e_kl_mean) = (f32::from_bits(bridge_len_mean), f32::from_bits(e_kl_mean));
+        let stats = Stats { mentor, feasible, bridged, stored, bridge_len_mean, e_kl_mean };
+        assert_eq!(stats.mentor, len);
+        assert!(stats.feasible + stats.bridged <= len && stats.bridge_len_mean >= 0.0, "{stats:?}");
+
+        assert_eq!(self.ask(ANNOTATIONS, 0, len, &[])?, len);
+        let mut table = AnnotationTable::new(len as usize, 2, self.plan.spec.n_actions());
+        table.apply(&self.answer).unwrap();
+
+        let j = stats.stored as usize % transitions.len();
+        let state = transitions.state(j).to_vec();
+        let count = self.ask(SIMILAR, 0, 5, &state)?;
+        assert!(count >= 1 && self.answer.len() == 2 * count as usize, "a state is similar to itself");
+        let found: Vec<(u32, f32)> =
+            self.answer.chunks(2).map(|pair| (pair[0], f32::from_bits(pair[1]))).collect();
+        assert_eq!(found[0].1, 0.0);
+        assert!(found.iter().all(|(i, _)| *i < len) && found.is_sorted_by(|a, b| a.1 <= b.1), "{found:?}");
+
+        // What had a bridge a moment ago has one still.
+        let bridged = table.bridge(j).is_some();
+        let count = self.ask(BRIDGE, j as u32, 0, &state)?;
+        assert!(self.answer.len() == count as usize * record_words(2) && count <= 1);
+        assert!(count == 1 || !bridged);
+        Ok(stats)
+    }
+
+    /// Requests that cannot be right.
+    fn nonsense(&mut self) {
+        let len = self.plan.mentor_len as u32;
+        let cases: [(u32, u32, u32, &[f32], &str); 9] = [
+            (99, 0, 0, &[], "unknown operation"),
+            (0, 0, 0, &[], "unknown operation"),
+            (SIMILAR, 0, 5, &[1.0], "malformed request"),
+            (SIMILAR, 0, 5, &[1.0, f32::NAN], "malformed request"),
+            (BRIDGE, 0, 0, &[f32::INFINITY, 1.0], "malformed request"),
+            (BRIDGE, len, 0, &[1.0, 1.0], "out of range"),
+            (ANNOTATIONS, 0, len + 1, &[], "out of range"),
+            (ANNOTATIONS, u32::MAX, 2, &[], "out of range"),
+            (TRANSITIONS, 1, len, &[], "out of range"),
+        ];
+        for (op, first, count, state, expected) in cases {
+            match self.ask(op, first, count, state) {
+                Err(LinkError::Refused { reason, .. }) => {
+                    assert_eq!(reason, expected, "{op} {first} {count}")
+                }
+                other => panic!("{op} {first} {count} {state:?}: {other:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_client_gets_sound_answers_and_the_run_does_not_notice() {
+    let place = Place::new();
+    let undisturbed = place.train("alone", &ARGS);
+
+    let mut run = start(&place.training("asked", &ARGS));
+    let dir = place.run("asked");
+    let mut client = None;
+    run.wait_for("the services", || {
+        client = dir.read_plan().ok().and_then(|plan| QueryClient::new(&domain(&dir), &plan).ok());
+        client.is_some()
+    });
+    let plan = dir.read_plan().unwrap();
+    let mut asker = Asker { client: client.unwrap(), plan, answer: Vec::new() };
+    run.wait_for("the mentor-server", || asker.ask(STATS, 0, 0, &[]).is_ok());
+
+    let len = asker.plan.mentor_len as u32;
+    assert_eq!(asker.ask(TRANSITIONS, 0, len, &[]).unwrap(), len);
+    let mut transitions = MentorTransitions::new(2);
+    transitions.decode(&asker.answer).unwrap();
+    assert_eq!(transitions.len(), len as usize);
+    assert!(transitions.terminal(len as usize - 1) && !transitions.terminal(0));
+    asker.nonsense();
+
+    // Until the run ends: then, and only then, a question stays without an answer.
+    let (mut rounds, mut last) = (0, Stats::default());
+    while let Ok(stats) = asker.round(&transitions) {
+        assert!(stats.stored >= last.stored && stats.feasible >= last.feasible, "{stats:?} after {last:?}");
+        (rounds, last) = (rounds + 1, stats);
+    }
+    assert!(wait_until(LIMIT, || !run.is_running()), "the run goes on without an answer");
+    run.finish().ok();
+    assert!(rounds > 20 && last.stored > 0, "{rounds} rounds");
+    drop(asker);
+    assert_gone(&dir);
+    assert_eq!(Trace::of(&dir), undisturbed);
+}

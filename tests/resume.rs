@@ -1,0 +1,121 @@
+//! A run that is interrupted and resumed ends as one that was left alone.
+
+use crate::util::{
+    LIMIT, Place, Trace, assert_gone, evaluations, newest_checkpoint, process, result, send, start,
+    wait_until_gone,
+};
+use nix::sys::signal::Signal;
+use std::fs;
+
+/// Long enough to be interrupted on the way: a second or two.
+const ARGS: [&str; 7] =
+    ["maze-small", "--env-steps", "60000", "--seed", "5", "--set", "checkpoint.every_env_steps=6000"];
+
+/// An interrupted run as an uninterrupted one would be, but for whether it was interrupted.
+fn resumed(place: &Place, name: &str, args: &[&str]) -> Trace {
+    let trace = place.train(name, &[args, &["--resume"]].concat());
+    assert!(!trace.result.interrupted);
+    trace
+}
+
+/// Interrupted by Ctrl-C twice, by a kill of the supervisor, and by that of a child.
+fn survives(more: &[&str]) {
+    let place = Place::new();
+    let args = [&ARGS[..], more].concat();
+    let undisturbed = place.train("undisturbed", &args);
+
+    let dir = place.run("signal");
+    for evaluated in [2, 9] {
+        let again: &[&str] = if dir.root().exists() { &["--resume"] } else { &[] };
+        let mut run = start(&place.training("signal", &[&args[..], again].concat()));
+        run.wait_for("evaluations", || evaluations(&dir) >= evaluated);
+        run.signal(Signal::SIGINT);
+        run.finish().code(130);
+        assert_gone(&dir);
+        assert!(result(&dir).interrupted);
+    }
+    assert_eq!(resumed(&place, "signal", &args), undisturbed);
+
+    let dir = place.run("kill");
+    let mut run = start(&place.training("kill", &args));
+    run.wait_for("a checkpoint", || dir.last().exists());
+    run.signal(Signal::SIGKILL);
+    run.finish();
+    wait_until_gone(&dir, LIMIT);
+    let mut run = start(&place.training("kill", &[&args[..], &["--resume"]].concat()));
+    let before = newest_checkpoint(&dir).unwrap();
+    run.wait_for("another checkpoint", || newest_checkpoint(&dir) > Some(before));
+    send(process(dir.root(), "mentor-server").unwrap(), Signal::SIGKILL);
+    run.finish().refused(&["mentor-server"]);
+    assert_gone(&dir);
+    assert_eq!(resumed(&place, "kill", &args), undisturbed);
+}
+
+#[test]
+fn one_actor() {
+    survives(&[]);
+}
+
+#[test]
+fn two_actors() {
+    survives(&["--actors", "2"]);
+}
+
+#[test]
+fn one_actor_with_lag() {
+    survives(&["--set", "run.lag=1"]);
+}
+
+#[test]
+fn two_actors_with_lag() {
+    survives(&["--actors", "2", "--set", "run.lag=1"]);
+}
+
+#[test]
+fn other_settings_are_refused_and_more_episodes_are_not() {
+    let place = Place::new();
+    let base = ["maze-small", "--seed", "5", "--episodes", "20", "--set", "checkpoint.every_env_steps=1000"];
+    let first = place.train("run", &base);
+    let refused = |more: &[&str], words: &[&str]| {
+        let args = place.training("run", &[&base[..], &["--resume"], more].concat());
+        start(&args).finish().refused(words);
+        assert_eq!(Trace::of(&place.run("run")), first, "nothing has changed");
+    };
+    refused(&["--seed", "6"], &["--resume", "seed = 5", "seed = 6"]);
+    refused(&["--set", "learner.lr=0.5"], &["lr = 0.001", "lr = 0.5"]);
+    refused(&["--actors", "2"], &["actors = 1", "actors = 2"]);
+    refused(&["--algo", "dqn"], &["algo = \"ha-diiqn\"", "algo = \"dqn\""]);
+
+    let more = ["--episodes", "35"];
+    let longer = place.train("run", &[&base[..], &more, &["--resume"]].concat());
+    assert_eq!(longer.result.episodes, 35);
+    assert_eq!(longer.episodes.len(), 35);
+    assert_eq!(longer.episodes[..10], first.episodes[..10]);
+    let numbers: Vec<u64> =
+        longer.episodes.iter().map(|row| row["time/episodes"].as_u64().unwrap()).collect();
+    assert_eq!(numbers, (1..=35).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_finished_run_stays_as_it_is() {
+    let place = Place::new();
+    let args = ["maze-small", "--seed", "5", "--env-steps", "4000"];
+    let first = place.train("run", &args);
+    assert_eq!(resumed(&place, "run", &args), first);
+}
+
+#[test]
+fn a_damaged_checkpoint_is_passed_over() {
+    let place = Place::new();
+    let args = [&ARGS[..2], &["20000"], &ARGS[3..]].concat();
+    let undisturbed = place.train("undisturbed", &args);
+    let dir = place.run("run");
+    place.train("run", &args);
+    let newest = newest_checkpoint(&dir).unwrap();
+    let model = fs::canonicalize(dir.last()).unwrap().join("model.safetensors");
+    let mut bytes = fs::read(&model).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(&model, bytes).unwrap();
+    assert!(newest_checkpoint(&dir).unwrap() < newest);
+    assert_eq!(resumed(&place, "run", &args), undisturbed);
+}

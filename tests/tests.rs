@@ -1,0 +1,17 @@
+//! The program as its users have it: every test drives the real binary, with all processes of a run, in a directory
+//! of its own. Nothing here waits for longer than a limit, and nothing is left running.
+
+#![allow(clippy::unwrap_used)]
+
+mod util;
+
+mod commands;
+mod concurrency;
+mod determinism;
+mod doctor;
+mod errors;
+mod host;
+mod query;
+mod resume;
+mod shutdown;
+mod train;

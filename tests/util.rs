@@ -1,0 +1,396 @@
+//! Starting the program, waiting for it within limits, and reading what its runs leave behind.
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use trestle_learner::checkpoint;
+use trestle_learner::record::RunResult;
+use trestle_proto::rundir::RunDir;
+use trestle_proto::transport::iceoryx::Domain;
+
+/// The program under test.
+pub(crate) const TRESTLE: &str = env!("CARGO_BIN_EXE_trestle");
+/// How long anything may take, on the slowest machine.
+pub(crate) const LIMIT: Duration = Duration::from_secs(60);
+/// How often a condition is looked at.
+const POLL: Duration = Duration::from_millis(2);
+
+/// Whether the test has the host to itself: `doctor` sees, and with `--fix` removes, what other tests' runs leave for
+/// a moment.
+static HOST: RwLock<()> = RwLock::new(());
+
+/// A test's directory.
+pub(crate) struct Place {
+    dir: TempDir,
+    _host: Host,
+}
+
+enum Host {
+    Shared(#[allow(dead_code)] RwLockReadGuard<'static, ()>),
+    Alone(#[allow(dead_code)] RwLockWriteGuard<'static, ()>),
+}
+
+impl Place {
+    /// For a test that may run beside others. One a test: the second could wait for ever.
+    pub(crate) fn new() -> Self {
+        Self::on(Host::Shared(HOST.read().unwrap_or_else(PoisonError::into_inner)))
+    }
+
+    /// For a test that needs to be the only one on the host.
+    pub(crate) fn alone() -> Self {
+        Self::on(Host::Alone(HOST.write().unwrap_or_else(PoisonError::into_inner)))
+    }
+
+    fn on(host: Host) -> Self {
+        Self { dir: TempDir::with_prefix("trestle-test-").unwrap(), _host: host }
+    }
+
+    pub(crate) fn root(&self) -> &Path {
+        self.dir.path()
+    }
+
+    /// The path of `name` in the directory.
+    pub(crate) fn path(&self, name: &str) -> String {
+        self.root().join(name).to_str().unwrap().into()
+    }
+
+    /// Writes a file and returns its path.
+    pub(crate) fn write(&self, name: &str, contents: impl AsRef<[u8]>) -> String {
+        let path = self.path(name);
+        fs::write(&path, contents).unwrap();
+        path
+    }
+
+    /// The run directory `name`.
+    pub(crate) fn run(&self, name: &str) -> RunDir {
+        RunDir::new(self.root().join(name))
+    }
+
+    /// Trains in the directory `name` to the end and returns what is there then.
+    pub(crate) fn train(&self, name: &str, args: &[&str]) -> Trace {
+        start(&self.training(name, args)).finish().ok();
+        let dir = self.run(name);
+        assert_gone(&dir);
+        Trace::of(&dir)
+    }
+
+    /// The arguments for a training in the directory `name`.
+    pub(crate) fn training(&self, name: &str, args: &[&str]) -> Vec<String> {
+        let own = ["train".to_string(), "--quiet".into(), "--out".into(), self.path(name)];
+        own.into_iter().chain(args.iter().map(ToString::to_string)).collect()
+    }
+}
+
+/// Waits until `condition` holds; false if `limit` was over first.
+pub(crate) fn wait_until(limit: Duration, mut condition: impl FnMut() -> bool) -> bool {
+    let start = Instant::now();
+    while !condition() {
+        if start.elapsed() > limit {
+            return false;
+        }
+        thread::sleep(POLL);
+    }
+    true
+}
+
+/// The program at work.
+pub(crate) struct Process {
+    child: Child,
+    /// What `/proc` shows of its arguments and its children's: the place to look for them.
+    args: Vec<String>,
+    stdout: Output,
+    stderr: Output,
+}
+
+/// What a process prints, as it comes.
+struct Output {
+    text: Arc<Mutex<String>>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Output {
+    fn of(mut source: impl Read + Send + 'static) -> Self {
+        let text = Arc::new(Mutex::new(String::new()));
+        let sink = text.clone();
+        let reader = thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(n @ 1..) = source.read(&mut buffer) {
+                sink.lock().unwrap().push_str(&String::from_utf8_lossy(&buffer[..n]));
+            }
+        });
+        Self { text, reader: Some(reader) }
+    }
+
+    fn so_far(&self) -> String {
+        self.text.lock().unwrap().clone()
+    }
+
+    fn all(&mut self) -> String {
+        self.reader.take().map(|reader| reader.join().unwrap());
+        self.so_far()
+    }
+}
+
+/// How the program ended.
+#[derive(Debug)]
+pub(crate) struct Outcome {
+    pub(crate) status: ExitStatus,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+/// Starts the program.
+pub(crate) fn start<S: AsRef<str>>(args: &[S]) -> Process {
+    start_under(&[] as &[&str], args)
+}
+
+/// Starts the program as the last part of another command, such as `taskset -c 0`.
+pub(crate) fn start_under<S: AsRef<str>>(command: &[&str], args: &[S]) -> Process {
+    let mut words: Vec<&str> = command.to_vec();
+    words.push(TRESTLE);
+    words.extend(args.iter().map(AsRef::as_ref));
+    let mut child = Command::new(words[0])
+        .args(&words[1..])
+        .env_remove("RUST_LOG")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let (stdout, stderr) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+    let args = args.iter().map(|arg| arg.as_ref().to_string()).collect();
+    Process { child, args, stdout: Output::of(stdout), stderr: Output::of(stderr) }
+}
+
+/// Runs the program to its end.
+pub(crate) fn trestle(args: &[&str]) -> Outcome {
+    start(args).finish()
+}
+
+impl Process {
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        send(self.pid(), signal);
+    }
+
+    pub(crate) fn stderr_so_far(&self) -> String {
+        self.stderr.so_far()
+    }
+
+    pub(crate) fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// Waits for a condition of the run while it goes on; fails if the process ends before.
+    pub(crate) fn wait_for(&mut self, what: &str, mut condition: impl FnMut() -> bool) {
+        let mut ended = false;
+        let met = wait_until(LIMIT, || {
+            let met = condition();
+            ended = !met && !self.is_running();
+            met || ended
+        });
+        assert!(met && !ended, "waiting for {what}; standard error: {}", self.stderr_so_far());
+    }
+
+    /// Waits for the end.
+    pub(crate) fn finish(mut self) -> Outcome {
+        let ended = wait_until(LIMIT, || !self.is_running());
+        assert!(ended, "{:?} has not ended; standard error: {}", self.args, self.stderr_so_far());
+        let status = self.child.wait().unwrap();
+        Outcome { status, stdout: self.stdout.all(), stderr: self.stderr.all() }
+    }
+}
+
+impl Drop for Process {
+    /// Leaves nothing running where a test has failed.
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            let out = self.args.iter().skip_while(|arg| *arg != "--out").nth(1);
+            let others = out.map(|out| processes(Path::new(out))).unwrap_or_default();
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+            for (pid, _) in others {
+                let _ = kill(Pid::from_raw(pid.cast_signed()), Signal::SIGKILL);
+            }
+        }
+    }
+}
+
+impl Outcome {
+    /// It did what was asked.
+    pub(crate) fn ok(self) -> Self {
+        assert!(self.status.success(), "{self:?}");
+        self
+    }
+
+    /// It ended with `code`.
+    pub(crate) fn code(self, code: i32) -> Self {
+        assert_eq!(self.status.code(), Some(code), "{self:?}");
+        self
+    }
+
+    /// It failed, and said all of `words` on standard error.
+    pub(crate) fn refused(self, words: &[&str]) -> Self {
+        assert!(matches!(self.status.code(), Some(1..=2)), "{self:?}");
+        for word in words {
+            assert!(self.stderr.contains(word), "`{word}` is missing: {self:?}");
+        }
+        self
+    }
+}
+
+/// Sends a signal to a process that lives.
+pub(crate) fn send(pid: u32, signal: Signal) {
+    kill(Pid::from_raw(pid.cast_signed()), signal).unwrap();
+}
+
+/// The processes of the run in `dir`: id and arguments.
+pub(crate) fn processes(dir: &Path) -> Vec<(u32, Vec<String>)> {
+    let dir = dir.to_str().unwrap();
+    let mut found = Vec::new();
+    for entry in fs::read_dir("/proc").unwrap() {
+        let entry = entry.unwrap();
+        let Ok(pid) = entry.file_name().to_string_lossy().parse() else { continue };
+        // A process that has just ended has no arguments any more.
+        let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        let args: Vec<String> =
+            line.split(|b| *b == 0).map(|arg| String::from_utf8_lossy(arg).into_owned()).collect();
+        if args.iter().any(|arg| arg == dir) {
+            found.push((pid, args));
+        }
+    }
+    found
+}
+
+/// The id of the process of the run in `dir` that is `role`: the subcommand, and for actors the index.
+pub(crate) fn process(dir: &Path, role: &str) -> Option<u32> {
+    let name = |args: &[String]| match args.get(1).map(String::as_str) {
+        Some("actor") => format!("actor-{}", args[3]),
+        other => other.unwrap_or_default().to_string(),
+    };
+    processes(dir).into_iter().find(|(_, args)| name(args) == role).map(|(pid, _)| pid)
+}
+
+/// The place of the run's shared memory.
+pub(crate) fn domain(dir: &RunDir) -> Domain {
+    Domain::of(dir.read_plan().unwrap().run)
+}
+
+/// Fails unless the run has neither processes nor anything in shared memory.
+pub(crate) fn assert_gone(dir: &RunDir) {
+    assert_eq!(processes(dir.root()), []);
+    let domain = domain(dir);
+    assert_eq!(domain.shared_memory().unwrap(), [] as [PathBuf; 0]);
+    assert!(!domain.root().exists());
+}
+
+/// Waits until the run has neither processes nor anything in shared memory.
+pub(crate) fn wait_until_gone(dir: &RunDir, limit: Duration) {
+    let domain = domain(dir);
+    wait_until(limit, || {
+        processes(dir.root()).is_empty()
+            && !domain.root().exists()
+            && domain.shared_memory().unwrap().is_empty()
+    });
+    assert_gone(dir);
+}
+
+/// Rows of `evals.csv` so far; the learner hands each to the operating system at once.
+pub(crate) fn evaluations(dir: &RunDir) -> usize {
+    fs::read_to_string(dir.evals()).unwrap_or_default().lines().skip(1).count()
+}
+
+/// What `result.json` says.
+pub(crate) fn result(dir: &RunDir) -> RunResult {
+    serde_json::from_slice(&fs::read(dir.result()).unwrap()).unwrap()
+}
+
+/// The tick of the newest complete checkpoint.
+pub(crate) fn newest_checkpoint(dir: &RunDir) -> Option<u64> {
+    checkpoint::newest_complete(dir.root()).unwrap().map(|(tick, _)| tick)
+}
+
+/// All of a finished run that depends on configuration and seed alone.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Trace {
+    pub(crate) weights_sha256: String,
+    pub(crate) result: RunResult,
+    /// `evals.csv` without `wall_s`.
+    pub(crate) evals: Vec<Vec<String>>,
+    /// The rows of `metrics.jsonl` that belong to episodes, without `time/time_elapsed`.
+    pub(crate) episodes: Vec<Value>,
+}
+
+impl Trace {
+    pub(crate) fn of(dir: &RunDir) -> Self {
+        let result = RunResult { wall_s: 0.0, ..result(dir) };
+        let evals = fs::read_to_string(dir.evals()).unwrap();
+        let without_wall = |line: &str| {
+            let mut fields: Vec<String> = line.split(',').map(String::from).collect();
+            fields.remove(3);
+            fields
+        };
+        let mut episodes: Vec<Value> = metrics(dir);
+        episodes.retain(|row| row.get("rollout/ep_rew").is_some());
+        for row in &mut episodes {
+            row.as_object_mut().unwrap().remove("time/time_elapsed");
+        }
+        Self {
+            weights_sha256: result.weights_sha256.clone(),
+            result,
+            evals: evals.lines().map(without_wall).collect(),
+            episodes,
+        }
+    }
+}
+
+/// The rows of `metrics.jsonl`.
+pub(crate) fn metrics(dir: &RunDir) -> Vec<Value> {
+    let text = fs::read_to_string(dir.metrics()).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Every file below `root` with its contents, every directory and link with none.
+pub(crate) fn tree(root: &Path) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
+    let mut found = BTreeMap::new();
+    let mut open = vec![root.to_path_buf()];
+    while let Some(dir) = open.pop() {
+        for entry in fs::read_dir(&dir).unwrap() {
+            let entry = entry.unwrap();
+            let kind = entry.file_type().unwrap();
+            let contents = kind.is_file().then(|| fs::read(entry.path()).unwrap());
+            if kind.is_dir() {
+                open.push(entry.path());
+            }
+            found.insert(entry.path(), contents);
+        }
+    }
+    found
+}
+
+/// The identities of runs that have left something and whose supervisor is dead.
+pub(crate) fn dead_runs() -> Vec<u64> {
+    let all = Domain::all().unwrap();
+    all.iter().filter(|domain| !domain.is_alive()).map(Domain::run).collect()
+}
+
+/// Whether `command` works here; says so where it does not, as the test then cannot.
+pub(crate) fn available(command: &[&str]) -> bool {
+    let works = Command::new(command[0]).args(&command[1..]).output().is_ok_and(|o| o.status.success());
+    if !works {
+        eprintln!("not tested: `{}` does not work here", command.join(" "));
+    }
+    works
+}
