@@ -26,9 +26,8 @@ pub(crate) fn run(prepared: &Prepared, quiet: bool) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone()).context("cannot handle Ctrl-C")?;
 
-    let mut workers = (0..plan.config.run.actors)
-        .map(|index| Worker::new(plan, index))
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut workers =
+        (0..plan.config.run.actors).map(|index| Worker::new(plan, index)).collect::<Result<Vec<_>, _>>()?;
     let mut mentor = mentor(prepared)?;
     let display = Display::new(plan, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());

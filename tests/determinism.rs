@@ -1,6 +1,6 @@
 //! A run's outcome is a function of its configuration and its seed.
 
-use crate::util::{Place, Trace, assert_gone, available, start, start_under};
+use crate::util::{Place, Trace, assert_gone, available, start_under};
 use std::fs;
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "10000", "--seed", "11"];

@@ -13,7 +13,12 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             let resolved = prepare::resolve(load(source)?)?;
             let spec = &resolved.spec;
             println!("{}: a run could start", source.config);
-            println!("  environment    {}, {} features, actions {}", spec.name, spec.obs_dim(), spec.actions.join(" "));
+            println!(
+                "  environment    {}, {} features, actions {}",
+                spec.name,
+                spec.obs_dim(),
+                spec.actions.join(" ")
+            );
             if let Some(best) = spec.best_return {
                 println!("  best return    {best:.2}");
             }

@@ -24,7 +24,12 @@ pub(super) fn run(args: &Demo) -> Result<ExitCode> {
             let resolved = meet(config)?;
             let demonstration = resolved.demonstration.as_ref().context("the configuration has no mentor")?;
             demo_file::write(out, demonstration)?;
-            println!("{}: {} states, {} transitions", out.display(), demonstration.n_states(), demonstration.n_transitions());
+            println!(
+                "{}: {} states, {} transitions",
+                out.display(),
+                demonstration.n_states(),
+                demonstration.n_transitions()
+            );
         }
         Demo::Inspect { demo, config, sets } => inspect(demo, config.as_deref(), sets)?,
     }
@@ -41,7 +46,8 @@ fn meet(mut config: Config) -> Result<Resolved> {
 
 fn inspect(demo: &Path, config: Option<&str>, sets: &[String]) -> Result<()> {
     let dir = RunDir::new(demo);
-    let (file, own) = if demo.is_dir() { (dir.demonstration(), Some(dir.config())) } else { (demo.into(), None) };
+    let (file, own) =
+        if demo.is_dir() { (dir.demonstration(), Some(dir.config())) } else { (demo.into(), None) };
     let own = own.map(|path| path.display().to_string());
     let name = config.or(own.as_deref()).unwrap_or("maze30");
     let mut config = config::load(name, sets)?;

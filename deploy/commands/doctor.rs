@@ -21,8 +21,8 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     };
     match statvfs("/dev/shm") {
         Ok(stat) => {
-            let free = stat.blocks_available() as u64 * stat.fragment_size() as u64;
-            let total = stat.blocks() as u64 * stat.fragment_size() as u64;
+            let free = stat.blocks_available() * stat.fragment_size();
+            let total = stat.blocks() * stat.fragment_size();
             line(
                 free >= LITTLE_SHARED_MEMORY,
                 format!("shared memory: {} of {} MiB free in /dev/shm", free >> 20, total >> 20),
@@ -43,7 +43,8 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     for domain in &dead {
         let files = domain.shared_memory()?;
         let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
-        let what = format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
+        let what =
+            format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
         if args.fix {
             domain.remove()?;
             line(true, format!("{what}: removed"));

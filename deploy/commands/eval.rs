@@ -21,8 +21,14 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     let weights = checkpoint::load_model(&path, &layout)?;
     let mut worker = Worker::new(&plan, 0)?;
     // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
-    let tick =
-        Tick { run: plan.run, tick, evaluation: u64::MAX, kind: EVALUATE, amount: args.episodes, ..Tick::default() };
+    let tick = Tick {
+        run: plan.run,
+        tick,
+        evaluation: u64::MAX,
+        kind: EVALUATE,
+        amount: args.episodes,
+        ..Tick::default()
+    };
     let evaluation = worker.evaluate(&weights, &tick)?;
 
     let n = evaluation.episodes.len() as f64;

@@ -38,7 +38,8 @@ impl Start {
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             // The second signal ends the process at once.
             signal_hook::flag::register_conditional_default(signal, stop.clone())
-                .and_then(|_| signal_hook::flag::register(signal, stop.clone())).context("cannot handle signals")?;
+                .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+                .context("cannot handle signals")?;
         }
         if args.watch_stdin {
             let domain = domain.clone();

@@ -60,7 +60,11 @@ impl Display {
                 }
             }
             How::Bar(bar) => {
-                bar.set_position(if self.episodes.is_some() { progress.episodes } else { progress.env_steps });
+                bar.set_position(if self.episodes.is_some() {
+                    progress.episodes
+                } else {
+                    progress.env_steps
+                });
                 bar.set_message(self.describe(progress));
             }
         }
@@ -82,7 +86,8 @@ impl Display {
             of(self.env_steps),
             p.fps
         );
-        let number = |name: &str, value: Option<f64>| value.map_or(String::new(), |v| format!("  {name} {v:.2}"));
+        let number =
+            |name: &str, value: Option<f64>| value.map_or(String::new(), |v| format!("  {name} {v:.2}"));
         text += &number("return", p.ep_rew_mean);
         text += &number("greedy", p.eval_return);
         let share = |name: &str, value: Option<f64>| {

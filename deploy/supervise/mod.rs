@@ -152,9 +152,12 @@ async fn watch(
     }
 }
 
-/// Lets what still runs leave by itself for a while, then ends it. No child outlives this.
+/// Asks what still runs to leave, once the learner has left of itself, and ends what does not. No child outlives this.
 async fn stop_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Event>) {
     let learner_left = children.iter().all(|c| c.role != Role::Learner || !c.running);
+    if learner_left {
+        children.iter().filter(|c| c.running).for_each(Child::terminate);
+    }
     let mut deadline = Box::pin(tokio::time::sleep(if learner_left { GRACE } else { Default::default() }));
     let mut killed = false;
     while children.iter().any(|c| c.running) {

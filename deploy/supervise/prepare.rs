@@ -146,8 +146,7 @@ impl Resolved {
         let mut prepared = Prepared { dir, plan, fresh: resume_tick.is_none(), replaced: None };
         if prepared.fresh && occupied {
             let aside = aside(root)?;
-            fs::rename(root, &aside)
-                .with_context(|| format!("cannot move {} aside", root.display()))?;
+            fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
             prepared.replaced = Some(aside);
         }
         if let Err(error) = prepared.write(&self) {
@@ -161,8 +160,8 @@ impl Resolved {
     /// differ from what the directory holds.
     fn check_resume(&self, dir: &RunDir) -> Result<u64> {
         let path = dir.config();
-        let text = fs::read_to_string(&path)
-            .with_context(|| format!("--resume: cannot read {}", path.display()))?;
+        let text =
+            fs::read_to_string(&path).with_context(|| format!("--resume: cannot read {}", path.display()))?;
         let mut before = config::parse_toml(&path.display().to_string(), &text)?;
         before.run.episodes = self.config.run.episodes;
         before.run.env_steps = self.config.run.env_steps;
@@ -181,7 +180,10 @@ impl Resolved {
             && !result.interrupted
             && self.reached(&result)
         {
-            bail!("--resume: {} is complete; accepted: a higher --episodes or --env-steps", dir.root().display());
+            bail!(
+                "--resume: {} is complete; accepted: a higher --episodes or --env-steps",
+                dir.root().display()
+            );
         }
         match checkpoint::newest_resumable(dir.root())? {
             Some((tick, _)) => Ok(tick),
@@ -240,8 +242,7 @@ impl Prepared {
         let dir = &self.dir;
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
         write_atomically(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
-        let command: Vec<String> =
-            std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
+        let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
         write_atomically(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
         let build = serde_json::to_string_pretty(&BuildInfo::new())?;
         write_atomically(&dir.build(), format!("{build}\n").as_bytes())?;
@@ -283,7 +284,7 @@ fn check_shared_memory(needed: u64) -> Result<()> {
     let stat = statvfs(shm).with_context(|| {
         format!("{} cannot be used; a run needs {} MiB of shared memory there", shm.display(), needed >> 20)
     })?;
-    let free = stat.blocks_available() as u64 * stat.fragment_size() as u64;
+    let free = stat.blocks_available() * stat.fragment_size();
     ensure!(
         free >= needed,
         "{} has {} MiB free; this run needs {} MiB: make room, mount it larger, or lower run.actors, run.rollout \

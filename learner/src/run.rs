@@ -8,15 +8,15 @@
 //! Weights are published only right before a tick that names them, when no actor can still be reading others. The
 //! outcome is therefore a function of the plan alone.
 
-use crate::session::{Resumed, Session, SessionError};
 use crate::record::{Progress, RunResult};
+use crate::session::{Resumed, Session, SessionError};
 use std::time::Instant;
+use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::logging;
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
-use trestle_proto::annotation::record_words;
 use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryRequest, TRANSITIONS};

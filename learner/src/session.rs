@@ -282,11 +282,7 @@ impl<'a> Session<'a> {
 
     /// Takes a checkpoint after the last trained tick. `behaviour`: the weights that actors act with in the next tick,
     /// where they are not the newest; `actors`: their snapshots, in order.
-    pub fn checkpoint(
-        &mut self,
-        behaviour: Option<&[f32]>,
-        actors: &[Vec<u8>],
-    ) -> Result<(), SessionError> {
+    pub fn checkpoint(&mut self, behaviour: Option<&[f32]>, actors: &[Vec<u8>]) -> Result<(), SessionError> {
         let state = State {
             recorder: self.recorder.checkpoint()?,
             evaluations: self.evaluations,
@@ -294,8 +290,7 @@ impl<'a> Session<'a> {
             evaluated_at: self.evaluated_at,
         };
         let run = codec::encode(KIND, &state)?;
-        let cut =
-            Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
+        let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
         let path = checkpoint::write(self.dir.root(), &cut)?;
         tracing::info!(path = %path.display(), "checkpoint");
         Ok(())

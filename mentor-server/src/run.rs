@@ -7,11 +7,11 @@ use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::logging;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, REBUILD, RESTORE};
+use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{
     ANNOTATIONS, BRIDGE, MALFORMED, OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS, TRANSITIONS,
     UNKNOWN_OP,
 };
-use trestle_proto::plan::RunPlan;
 use trestle_proto::transport::{LinkError, MentorHandler, MentorLink, Stop};
 
 /// The mentor of `plan`'s run, of its demonstration.

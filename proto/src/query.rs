@@ -23,7 +23,8 @@ pub const TRANSITIONS: u32 = 4;
 pub const STATS: u32 = 5;
 
 /// What an answer's `status` says: its position in this list.
-pub const STATUS: [&str; 5] = ["ok", "unknown operation", "malformed request", "out of range", "out of order"];
+pub const STATUS: [&str; 5] =
+    ["ok", "unknown operation", "malformed request", "out of range", "out of order"];
 /// All is well.
 pub const OK: u32 = 0;
 /// The operation does not exist.

@@ -118,9 +118,7 @@ impl RunDir {
     pub fn read_plan(&self) -> Result<RunPlan, RunDirError> {
         let path = self.plan();
         let bytes = fs::read(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound => {
-                RunDirError::NotARun { path: self.root.clone(), missing: "plan.bin" }
-            }
+            io::ErrorKind::NotFound => RunDirError::NotARun { path: self.root.clone(), missing: "plan.bin" },
             _ => RunDirError::Io { path: path.clone(), source },
         })?;
         RunPlan::decode(&bytes).map_err(|source| RunDirError::Plan { path, source })

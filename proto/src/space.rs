@@ -42,7 +42,9 @@ pub enum SpaceError {
         n: usize,
     },
     /// Bounds or scale of a feature.
-    #[error("environment {name}: feature {index} has bounds [{low}, {high}] and scale {scale}; accepted: finite, low < high, scale > 0")]
+    #[error(
+        "environment {name}: feature {index} has bounds [{low}, {high}] and scale {scale}; accepted: finite, low < high, scale > 0"
+    )]
     Feature {
         /// Name of the environment.
         name: String,

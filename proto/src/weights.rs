@@ -113,7 +113,10 @@ mod tests {
         assert_eq!(into, weights);
         assert!(matches!(header.receive(8, &sizes, &weights, &mut into), Err(WeightsError::Run { .. })));
         assert!(matches!(header.receive(9, &[2, 1], &weights, &mut into), Err(WeightsError::Sizes { .. })));
-        assert!(matches!(header.receive(9, &sizes, &weights[1..], &mut into), Err(WeightsError::Sizes { .. })));
+        assert!(matches!(
+            header.receive(9, &sizes, &weights[1..], &mut into),
+            Err(WeightsError::Sizes { .. })
+        ));
         weights[2] = -2.0;
         assert!(matches!(header.receive(9, &sizes, &weights, &mut into), Err(WeightsError::Checksum { .. })));
     }

@@ -55,12 +55,22 @@ fn act(mut link: impl ActorLink, index: u32) {
                 link.weights(tick.weights_version, &mut params).unwrap();
                 assert_eq!(params, weights(tick.weights_version));
                 let (run, actor, count) = (tick.run, index, tick.amount);
-                batch.prepare(BatchHeader { run, tick: tick.tick, actor, count, obs_dim: 2, ..Default::default() });
+                batch.prepare(BatchHeader {
+                    run,
+                    tick: tick.tick,
+                    actor,
+                    count,
+                    obs_dim: 2,
+                    ..Default::default()
+                });
                 for i in 0..count as usize {
                     let obs = [index as f32, tick.tick as f32];
                     let next = [i as f32, params[0]];
                     let flags = if i == 0 { FIRST } else { 0 };
-                    batch.set(i, &Transition { obs: &obs, next_obs: &next, action: index, reward: 0.5, flags });
+                    batch.set(
+                        i,
+                        &Transition { obs: &obs, next_obs: &next, action: index, reward: 0.5, flags },
+                    );
                 }
                 link.send_batch(&batch).unwrap();
             }
@@ -87,7 +97,12 @@ impl MentorHandler for Canned {
         let mut table = AnnotationTable::new(MENTOR, 2, 3);
         table.set_estimate(2, &Estimate { action: 1, e_kl: 0.5, reward: -1.0 });
         table.encode(2, out);
-        ObserveAnswer { first_index: request.first_index, count: request.count, changed: 1, ..Default::default() }
+        ObserveAnswer {
+            first_index: request.first_index,
+            count: request.count,
+            changed: 1,
+            ..Default::default()
+        }
     }
 
     fn query(&mut self, request: &QueryRequest, payload: &[f32], out: &mut Vec<u32>) -> QueryAnswer {
@@ -114,8 +129,15 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     for tick in 1..=200u64 {
         link.send_weights(tick - 1, &weights(tick - 1)).unwrap();
         let kind = COLLECT;
-        link.send_tick(&Tick { run: plan.run, tick, weights_version: tick - 1, kind, amount: 4, ..Tick::default() })
-            .unwrap();
+        link.send_tick(&Tick {
+            run: plan.run,
+            tick,
+            weights_version: tick - 1,
+            kind,
+            amount: 4,
+            ..Tick::default()
+        })
+        .unwrap();
         let mut seen = [false; ACTORS as usize];
         while !seen.iter().all(|s| *s) {
             match link.recv(&mut batches, LONG).unwrap().expect("a batch in time") {

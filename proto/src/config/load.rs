@@ -170,7 +170,9 @@ fn set(table: &mut Table, text: &str) -> Result<(), ConfigError> {
 fn scalar(text: &str) -> Value {
     let line = format!("value = {text}");
     match line.parse::<Table>() {
-        Ok(mut table) if table.len() == 1 => table.remove("value").unwrap_or_else(|| Value::String(text.into())),
+        Ok(mut table) if table.len() == 1 => {
+            table.remove("value").unwrap_or_else(|| Value::String(text.into()))
+        }
         _ => Value::String(text.into()),
     }
 }

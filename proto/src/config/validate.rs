@@ -49,7 +49,11 @@ impl Config {
         let run = &self.run;
         within("run.seed", run.seed, 0..=i64::MAX as u64, "0 to 2^63 - 1")?;
         if run.episodes.is_none() && run.env_steps.is_none() {
-            return Err(refuse("run.episodes", "not given", "a number of episodes, or run.env_steps instead"));
+            return Err(refuse(
+                "run.episodes",
+                "not given",
+                "a number of episodes, or run.env_steps instead",
+            ));
         }
         within("run.episodes", run.episodes.unwrap_or(1), 1.., "1 or more")?;
         within("run.env_steps", run.env_steps.unwrap_or(1), 1.., "1 or more")?;

@@ -174,8 +174,7 @@ impl LearnerLink for LocalLearner {
         const WHAT: &str = "a batch for its history";
         let (answer, answers) = sync_channel(1);
         self.mentor.send(Request::Observe(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
-        let (header, payload) =
-            answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
+        let (header, payload) = answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
         if header.status != OK {
             return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
         }

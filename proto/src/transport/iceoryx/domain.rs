@@ -5,7 +5,9 @@
 //! start time, so that what a dead run left can be told from what a living one needs.
 
 use super::Ipc;
-use iceoryx2::prelude::{Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode};
+use iceoryx2::prelude::{
+    Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode,
+};
 use nix::unistd::{Uid, getuid};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -30,7 +32,9 @@ pub enum DomainError {
         source: io::Error,
     },
     /// Somebody else's directory under our name.
-    #[error("{path} belongs to user {owner}, with mode {mode:o}; accepted: a directory of user {user}, mode 700")]
+    #[error(
+        "{path} belongs to user {owner}, with mode {mode:o}; accepted: a directory of user {user}, mode 700"
+    )]
     Foreign {
         /// The directory.
         path: PathBuf,

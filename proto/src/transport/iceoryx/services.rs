@@ -105,8 +105,7 @@ pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], BatchHe
 pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], WeightsHeader>;
 pub(super) type Ticks = publish_subscribe::PortFactory<Ipc, Tick, ()>;
 pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], ReplyHeader>;
-pub(super) type Observe =
-    request_response::PortFactory<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>;
+pub(super) type Observe = request_response::PortFactory<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>;
 pub(super) type Query = request_response::PortFactory<Ipc, [f32], QueryRequest, [u32], QueryAnswer>;
 pub(super) type Wake = event::PortFactory<Ipc>;
 
@@ -167,9 +166,8 @@ impl Services {
         let node = domain.node().map_err(failed("joining the run"))?;
         let sizes = Sizes::of(plan);
         let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
-        let name = |name: &str| {
-            format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"))
-        };
+        let name =
+            |name: &str| format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"));
         let transitions = finish!(
             node.service_builder(&name("transitions")?)
                 .publish_subscribe::<[u32]>()

@@ -63,10 +63,7 @@ pub(super) fn wait<T>(
 
 /// Tells all listeners of the service.
 pub(super) fn notify(notifier: &Notifier<Ipc>, event: usize) -> Result<(), LinkError> {
-    notifier
-        .notify_with_custom_event_id(EventId::new(event))
-        .map(|_| ())
-        .map_err(failed("notifying a peer"))
+    notifier.notify_with_custom_event_id(EventId::new(event)).map(|_| ()).map_err(failed("notifying a peer"))
 }
 
 pub(super) fn listener(service: &PortFactory<Ipc>) -> Result<Listener<Ipc>, LinkError> {
