@@ -31,6 +31,12 @@ pub(crate) enum Command {
     Learner(Role),
     /// The mentor-server process of a run (started by `train`)
     MentorServer(Role),
+    /// Remove what a run without a supervisor has shared
+    #[command(hide = true)]
+    Orphaned {
+        /// The run's identity
+        run: u64,
+    },
 }
 
 /// Where a configuration comes from.

@@ -50,16 +50,18 @@ pub(crate) fn run(prepared: &Prepared, quiet: bool) -> Result<Ended> {
         if lag {
             acting.copy_from_slice(session.agent().weights());
         }
+        // Once the run has reached its limits, what the agent drops still counts for the mentor.
+        let mut first_index = session.agent().counters().env_steps;
         for batch in &batches {
             let observed = match &mut mentor {
                 Some(mentor) => {
-                    let first_index = session.agent().counters().env_steps;
                     mentor.observe(first_index, batch.header.actor, batch, &mut observed)?;
                     Some(&observed)
                 }
                 None => None,
             };
             session.ingest(batch, observed)?;
+            first_index += batch.len() as u64;
         }
         session.train(tick)?;
         if !lag {

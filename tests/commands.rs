@@ -26,7 +26,7 @@ fn a_shown_configuration_trains_to_the_same_weights() {
 #[test]
 fn a_file_may_build_on_a_preset_and_a_map_file() {
     let place = Place::new();
-    let map = place.write("mine.txt", "S....\n.###.\n.....\n.#.#G\n");
+    let map = place.write("mine.txt", "S....\n..#..\n.....\n....G\n");
     let text = format!("base = \"maze-small\"\n[env]\nmap = {map:?}\n[run]\nepisodes = 20\n");
     let file = place.write("mine.toml", text);
     let trace = place.train("run", &[&file]);

@@ -6,6 +6,7 @@ use crate::util::{
 };
 use nix::sys::signal::Signal;
 use std::fs;
+use trestle_learner::checkpoint;
 
 /// Long enough to be interrupted on the way: a second or two.
 const ARGS: [&str; 7] =
@@ -74,19 +75,20 @@ fn two_actors_with_lag() {
 #[test]
 fn other_settings_are_refused_and_more_episodes_are_not() {
     let place = Place::new();
-    let base = ["maze-small", "--seed", "5", "--episodes", "20", "--set", "checkpoint.every_env_steps=1000"];
-    let first = place.train("run", &base);
+    let base = ["maze-small", "--set", "checkpoint.every_env_steps=1000"];
+    let first = place.train("run", &[&base[..], &["--seed", "5", "--episodes", "20"]].concat());
     let refused = |more: &[&str], words: &[&str]| {
         let args = place.training("run", &[&base[..], &["--resume"], more].concat());
         start(&args).finish().refused(words);
         assert_eq!(Trace::of(&place.run("run")), first, "nothing has changed");
     };
     refused(&["--seed", "6"], &["--resume", "seed = 5", "seed = 6"]);
-    refused(&["--set", "learner.lr=0.5"], &["lr = 0.001", "lr = 0.5"]);
-    refused(&["--actors", "2"], &["actors = 1", "actors = 2"]);
-    refused(&["--algo", "dqn"], &["algo = \"ha-diiqn\"", "algo = \"dqn\""]);
+    refused(&["--seed", "5", "--set", "learner.lr=0.5"], &["lr = 0.001", "lr = 0.5"]);
+    refused(&["--seed", "5", "--actors", "2"], &["actors = 1", "actors = 2"]);
+    refused(&["--seed", "5", "--algo", "dqn"], &["algo = \"ha-diiqn\"", "algo = \"dqn\""]);
+    refused(&["--seed", "5", "--episodes", "20"], &["run is complete", "a higher --episodes or --env-steps"]);
 
-    let more = ["--episodes", "35"];
+    let more = ["--seed", "5", "--episodes", "35"];
     let longer = place.train("run", &[&base[..], &more, &["--resume"]].concat());
     assert_eq!(longer.result.episodes, 35);
     assert_eq!(longer.episodes.len(), 35);
@@ -97,25 +99,21 @@ fn other_settings_are_refused_and_more_episodes_are_not() {
 }
 
 #[test]
-fn a_finished_run_stays_as_it_is() {
-    let place = Place::new();
-    let args = ["maze-small", "--seed", "5", "--env-steps", "4000"];
-    let first = place.train("run", &args);
-    assert_eq!(resumed(&place, "run", &args), first);
-}
-
-#[test]
 fn a_damaged_checkpoint_is_passed_over() {
     let place = Place::new();
-    let args = [&ARGS[..2], &["20000"], &ARGS[3..]].concat();
-    let undisturbed = place.train("undisturbed", &args);
+    let undisturbed = place.train("undisturbed", &ARGS);
     let dir = place.run("run");
-    place.train("run", &args);
+    let mut run = start(&place.training("run", &ARGS));
+    let complete = |tick: u64| checkpoint::directory(dir.root(), tick).join("COMPLETE").exists();
+    // The checkpoint of 6000 environment steps and that of 12000, in ticks of 32.
+    run.wait_for("two checkpoints", || complete(6_000_u64.div_ceil(32)) && complete(12_000_u64.div_ceil(32)));
+    run.signal(Signal::SIGINT);
+    run.finish().code(130);
     let newest = newest_checkpoint(&dir).unwrap();
     let model = fs::canonicalize(dir.last()).unwrap().join("model.safetensors");
     let mut bytes = fs::read(&model).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
     fs::write(&model, bytes).unwrap();
     assert!(newest_checkpoint(&dir).unwrap() < newest);
-    assert_eq!(resumed(&place, "run", &args), undisturbed);
+    assert_eq!(resumed(&place, "run", &ARGS), undisturbed);
 }

@@ -12,7 +12,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::tick::{EVALUATE, Tick};
 
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
-    logging::init(0, "eval");
+    logging::init(0, "eval", "warn");
     let dir = RunDir::new(&args.run);
     let plan = dir.read_plan()?;
     let (tick, path) = checkpoint::newest_complete(dir.root())?

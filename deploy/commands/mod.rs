@@ -22,5 +22,6 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Actor(args) => role::actor(&args),
         Command::Learner(args) => role::learner(&args),
         Command::MentorServer(args) => role::mentor_server(&args),
+        Command::Orphaned { run } => role::orphaned(run),
     }
 }

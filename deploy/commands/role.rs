@@ -4,7 +4,8 @@
 use crate::cli::{ActorRole, Role};
 use anyhow::{Context, Result};
 use std::io::{Read, Write, stdin, stdout};
-use std::process::ExitCode;
+use std::os::unix::process::CommandExt;
+use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -32,7 +33,7 @@ impl Start {
     fn new(args: &Role, role: &str) -> Result<Self> {
         let dir = RunDir::new(&args.run);
         let plan = dir.read_plan()?;
-        logging::init(plan.run, role);
+        logging::init(plan.run, role, "info");
         let domain = Domain::of(plan.run);
         let stop = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -56,15 +57,24 @@ impl Start {
 
 /// Waits until standard input is closed, which only the end of the supervisor does; then removes what the run
 /// shared, in its stead, and ends this process.
+///
+/// The removal is done by this program begun anew in this process ([`orphaned`]): that ends all other threads, which
+/// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
 fn leave_with_supervisor(domain: &Domain) {
     let mut byte = [0];
     // Nothing is ever written: an answer, whichever, is the end.
     while matches!(stdin().read(&mut byte), Ok(1)) {}
     tracing::error!("the supervisor is gone: leaving");
-    if let Err(error) = domain.remove() {
-        tracing::error!("{error}");
-    }
+    let program = std::env::current_exe().unwrap_or_else(|_| "/proc/self/exe".into());
+    let error = Command::new(program).arg("orphaned").arg(domain.run().to_string()).exec();
+    tracing::error!("cannot begin anew: {error}");
     std::process::exit(ORPHANED);
+}
+
+/// `trestle orphaned`: the end of a process whose supervisor is gone.
+pub(super) fn orphaned(run: u64) -> Result<ExitCode> {
+    Domain::of(run).remove()?;
+    Ok(ExitCode::from(ORPHANED as u8))
 }
 
 pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {

@@ -15,7 +15,7 @@ use trestle_proto::logging;
 const INTERRUPTED: u8 = 130;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
-    logging::init(0, "supervisor");
+    logging::init(0, "supervisor", "warn");
     let config = config::load(&args.source.config, &overrides(args))?;
     let root = args.out.clone().unwrap_or_else(|| default_out(&args.source.config, &config));
     let existing = match (args.resume, args.overwrite) {

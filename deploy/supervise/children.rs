@@ -11,9 +11,9 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fmt;
 use std::fs::{self, OpenOptions};
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{ChildStdin, ChildStdout, Command};
+use tokio::process::{self, ChildStdin, ChildStdout, Command};
 use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
 use trestle_proto::rundir::RunDir;
@@ -43,7 +43,8 @@ impl fmt::Display for Role {
 pub(super) struct Child {
     pub(super) role: Role,
     pub(super) running: bool,
-    pid: Pid,
+    /// To the task that waits for the process.
+    signals: mpsc::UnboundedSender<Signal>,
     /// Closing it tells the child that its supervisor is gone.
     _stdin: Option<ChildStdin>,
 }
@@ -60,12 +61,8 @@ impl Child {
     }
 
     fn signal(&self, signal: Signal) {
-        // The process is ours and not yet waited for while it is `running`, so its id cannot be another's.
-        if self.running
-            && let Err(error) = kill(self.pid, signal)
-        {
-            tracing::warn!("cannot send {signal} to {}: {error}", self.role);
-        }
+        // The task is gone when the process is.
+        let _ = self.signals.send(signal);
     }
 }
 
@@ -112,22 +109,42 @@ fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child
     let learner = role == Role::Learner;
     command.stdout(if learner { Stdio::piped() } else { Stdio::null() });
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
-    let pid = process.id().context("a process that has just been started has no id")?;
     let (stdin, stdout) = (process.stdin.take(), process.stdout.take());
+    let (signals, orders) = mpsc::unbounded_channel();
+    let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
-        if let Some(stdout) = stdout {
-            forward(stdout, &events).await;
+        let status = wait(&mut process, orders).await;
+        // All of its progress comes before its end.
+        if let Some(forwarding) = forwarding {
+            let _ = forwarding.await;
         }
-        let status = process.wait().await;
-        // The supervisor that would listen is itself on its way out.
+        // A supervisor that no longer listens is itself on its way out.
         let _ = events.send(Event::Exited(role, status)).await;
     });
-    Ok(Child { role, running: true, pid: Pid::from_raw(pid.cast_signed()), _stdin: stdin })
+    Ok(Child { role, running: true, signals, _stdin: stdin })
+}
+
+/// Waits for `process` and sends it the signals that are ordered meanwhile: never after it has been waited for, when its
+/// id could be another's.
+async fn wait(
+    process: &mut process::Child,
+    mut orders: mpsc::UnboundedReceiver<Signal>,
+) -> std::io::Result<ExitStatus> {
+    loop {
+        tokio::select! {
+            status = process.wait() => return status,
+            Some(signal) = orders.recv() => {
+                if let Some(pid) = process.id() {
+                    kill(Pid::from_raw(pid.cast_signed()), signal)?;
+                }
+            }
+        }
+    }
 }
 
 /// Passes the learner's progress on until it closes its standard output.
-async fn forward(stdout: ChildStdout, events: &mpsc::Sender<Event>) {
+async fn forward(stdout: ChildStdout, events: mpsc::Sender<Event>) {
     let mut lines = BufReader::new(stdout).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         match serde_json::from_str::<Progress>(&line) {

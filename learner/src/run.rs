@@ -215,9 +215,10 @@ impl<L: LearnerLink> Lockstep<'_, L> {
 
     /// Takes the batches in, in the order of the actors, and trains.
     fn learn(&mut self, tick: u64) -> Result<(), RunError> {
+        // Once the run has reached its limits, what the agent drops still counts for the mentor-server.
+        let mut first_index = self.session.agent().counters().env_steps;
         for (actor, batch) in self.batches.iter().enumerate() {
             let observed = if self.plan.mentor_len > 0 {
-                let first_index = self.session.agent().counters().env_steps;
                 let request = request(self.plan, tick, first_index, OBSERVE, actor as u32, batch.len());
                 let start = Instant::now();
                 self.link.observe(&request, batch.payload(), &mut self.observed)?;
@@ -227,6 +228,7 @@ impl<L: LearnerLink> Lockstep<'_, L> {
                 None
             };
             self.session.ingest(batch, observed)?;
+            first_index += batch.len() as u64;
         }
         Ok(self.session.train(tick)?)
     }

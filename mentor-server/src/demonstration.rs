@@ -197,6 +197,11 @@ impl Order {
         let m = self.state_of(j);
         m + 1..(m + n).min(self.last_of[j] as usize) + 1
     }
+
+    /// The transitions that state `m` is [`Order::ahead`] of, nearest first.
+    pub fn behind(&self, m: usize, n: usize) -> impl Iterator<Item = usize> + '_ {
+        (m.saturating_sub(n)..m).rev().map_while(|before| self.transition_of(before))
+    }
 }
 
 #[cfg(test)]
@@ -224,6 +229,10 @@ mod tests {
         assert_eq!([0, 1, 2].map(|j| order.state_of(j)), [0, 1, 3]);
         assert_eq!([0, 1, 2].map(|j| order.ahead(j, 4)), [1..3, 2..3, 4..5]);
         assert_eq!(order.ahead(0, 1), 1..2);
+        for (m, n) in (0..5).flat_map(|m| (1..5).map(move |n| (m, n))) {
+            let expected: Vec<_> = (0..3).rev().filter(|&j| order.ahead(j, n).contains(&m)).collect();
+            assert_eq!(order.behind(m, n).collect::<Vec<_>>(), expected);
+        }
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! Log lines: `<time> <level> run=<run> role=<role> tick=<tick> <target>: <message> <fields>`, on standard error,
-//! filtered by `RUST_LOG` (default `info`).
+//! filtered by `RUST_LOG`.
 
 use std::fmt;
 use std::io::IsTerminal;
@@ -27,14 +27,16 @@ pub fn set_tick(tick: u64) {
     TICK.store(tick, Ordering::Relaxed);
 }
 
-/// Starts logging for this process. `run` is 0 where there is no run. A second call changes nothing.
-pub fn init(run: u64, role: &str) {
+/// Starts logging for this process, at `level` unless `RUST_LOG` says otherwise: `info` where a file takes the lines,
+/// `warn` where they would come between what a person reads. `run` is 0 where there is no run. A second call changes
+/// nothing.
+pub fn init(run: u64, role: &str, level: &str) {
     if WHO.set(Who { run, role: role.into() }).is_err() {
         return;
     }
     // iceoryx2 filters by itself before it hands a line on; what it reports below a warning is about its own insides.
     iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Warn);
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

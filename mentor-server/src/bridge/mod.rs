@@ -28,6 +28,7 @@
 //! bridge is exactly the best one that has ever been in the history.
 
 pub mod cells;
+mod frontier;
 pub mod graph;
 pub mod oracle;
 pub mod search;

@@ -6,14 +6,18 @@
 //! state similar to one ahead of it make the shortest bridge through t, and each level gives the best of its ties. A
 //! state is expanded at its first level only, since a later one makes no shorter path.
 //!
+//! Only levels that could matter are looked at: those that together make no more than k steps, and no more than the
+//! bridge that is known of a mentor transition found on the other side. Of two such levels the one with fewer states to
+//! expand comes first. Far from the mentor's path, little is looked at.
+//!
 //! What a level holds depends on the stored transitions alone, not on the order in which the graph keeps them. A search
 //! that has looked at [`MAX_LOOKS`] states and links in one direction drops the whole level that it is in, and goes no
 //! further that way: the choice, too, is one of the stored transitions alone.
 
+use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
 use super::{Path, improve};
 use crate::history::Stored;
-use crate::metric::kl;
 use crate::similarity::{Hit, transitions};
 use crate::states::States;
 use std::cmp::Ordering;
@@ -23,29 +27,6 @@ use trestle_proto::annotation::{AnnotationTable, Bridge};
 /// than they could be; those without cross-referencing never are.
 pub const MAX_LOOKS: usize = 1 << 15;
 const NEVER: u32 = u32::MAX;
-
-/// Which states have been seen in the present search.
-#[derive(Clone, Debug, Default)]
-struct Marks {
-    stamps: Vec<u32>,
-    now: u32,
-}
-
-impl Marks {
-    fn begin(&mut self, bound: usize) {
-        if self.now == u32::MAX {
-            self.stamps.fill(0);
-            self.now = 0;
-        }
-        self.now += 1;
-        self.stamps.resize(bound.max(self.stamps.len()), 0);
-    }
-
-    /// Marks `id`; whether it was not marked before.
-    fn first_time(&mut self, id: u32) -> bool {
-        std::mem::replace(&mut self.stamps[id as usize], self.now) != self.now
-    }
-}
 
 /// The first step of a path, as far as it decides between equally long ones.
 #[derive(Clone, Copy, Debug)]
@@ -102,13 +83,16 @@ pub struct Search {
     pub(crate) limit: usize,
     ends: Ends,
     starts: Starts,
-    /// States reached; those of them that a path may go on from; states that a step leaves from.
+    /// Forward: states reached; those of them that a path may go on from; states that its steps leave from.
     reached: Marks,
     continued: Marks,
-    left: Marks,
+    onward: Marks,
     level: Vec<u32>,
     next_level: Vec<u32>,
     next_reached: Vec<u32>,
+    /// Backward: states from which a path comes in; states that its steps leave from.
+    entered: Marks,
+    left: Marks,
     back: Vec<(u32, First)>,
     next_back: Vec<(u32, First)>,
     /// Position of a state in `next_back`, where it is there.
@@ -136,6 +120,8 @@ impl Search {
             },
             reached: Marks::default(),
             continued: Marks::default(),
+            onward: Marks::default(),
+            entered: Marks::default(),
             left: Marks::default(),
             level: Vec::new(),
             next_level: Vec::new(),
@@ -166,72 +152,91 @@ impl Search {
         if new.news == News::Nothing {
             return;
         }
-        let bound = new.states.bound();
-        [&mut self.reached, &mut self.continued, &mut self.left]
-            .into_iter()
-            .for_each(|marks| marks.begin(bound));
-        self.forward(new, path);
-        let nearest = self.ends.touched.iter().map(|&m| self.ends.steps[m as usize] as usize).min();
-        if let Some(nearest) = nearest {
-            let before = if new.news == News::Link { path.rule.k - 1 - nearest } else { 0 };
-            [&mut self.reached, &mut self.left].into_iter().for_each(|marks| marks.begin(bound));
-            self.backward(new, before, path, table);
-            self.join(new, path, table, &mut improved);
+        let Arrival { states, t, news, .. } = *new;
+        let bound = states.bound();
+        let Self { reached, continued, onward, entered, left, .. } = self;
+        [reached, continued, onward, entered, left].into_iter().for_each(|marks| marks.begin(bound));
+        self.slots.resize(bound.max(self.slots.len()), 0);
+        let mut ahead = Side::new(!t.ends_episode(), self.limit);
+        let mut behind = Side::new(news == News::Link, self.limit);
+
+        self.reached.first_time(t.to);
+        self.continued.first_time(t.to);
+        self.level.clear();
+        self.level.push(t.to);
+        self.arrive(states, t.to, &mut ahead, path, table);
+        self.left.first_time(t.from);
+        self.back.clear();
+        self.back.push((t.from, First { action: t.action, reward: t.reward, to: t.to }));
+        self.depart(states, &mut behind, path, table);
+        let most = path.rule.k - 1;
+        loop {
+            match (ahead.is_wanted(&behind, most), behind.is_wanted(&ahead, most)) {
+                (false, false) => break,
+                (true, true) if self.back.len() < self.level.len() => {
+                    self.backward(new, &mut behind, path, table)
+                }
+                (true, _) => self.forward(new, &mut ahead, path, table),
+                (false, true) => self.backward(new, &mut behind, path, table),
+            }
         }
+        self.cut_short += u64::from(ahead.exhausted() || behind.exhausted());
+        self.join(new, path, table, &mut improved);
         self.ends.touched.drain(..).for_each(|m| self.ends.steps[m as usize] = NEVER);
         self.starts.touched.drain(..).for_each(|j| self.starts.steps[j as usize] = NEVER);
     }
 
-    /// Fills `ends`.
-    fn forward(&mut self, new: &Arrival<'_>, path: &Path<'_>) {
-        let Arrival { states, graph, t, .. } = *new;
-        self.reached.first_time(t.to);
-        self.arrive(states, t.to, 0, path);
-        self.level.clear();
-        if t.ends_episode() {
+    /// The next level of states after t.
+    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
+        let Arrival { states, graph, .. } = *new;
+        self.next_level.clear();
+        self.next_reached.clear();
+        let Self { reached, continued, onward, level, next_level, next_reached, .. } = self;
+        for &y in level.iter() {
+            similar(graph, states, y, path, side, |z, side| {
+                if !onward.first_time(z) {
+                    return;
+                }
+                side.look(graph.outgoing(z).len());
+                for link in graph.outgoing(z) {
+                    if reached.first_time(link.to) {
+                        next_reached.push(link.to);
+                    }
+                    if link.continues() && continued.first_time(link.to) {
+                        next_level.push(link.to);
+                    }
+                }
+            });
+        }
+        side.steps += 1;
+        side.open = !side.exhausted() && !next_level.is_empty();
+        if side.exhausted() {
             return;
         }
-        self.continued.first_time(t.to);
-        self.level.push(t.to);
-        let mut looks = Looks { count: 0, limit: self.limit };
-        for steps in 1..path.rule.k {
-            self.next_level.clear();
-            self.next_reached.clear();
-            let Self { reached, continued, left, level, next_level, next_reached, .. } = self;
-            for &y in level.iter() {
-                similar(graph, states, y, path, &mut looks, |z, looks| {
-                    if !left.first_time(z) {
-                        return;
-                    }
-                    looks.count += graph.outgoing(z).len();
-                    for link in graph.outgoing(z) {
-                        if reached.first_time(link.to) {
-                            next_reached.push(link.to);
-                        }
-                        if link.continues() && continued.first_time(link.to) {
-                            next_level.push(link.to);
-                        }
-                    }
-                });
-            }
-            if looks.exhausted() {
-                self.cut_short += 1;
-                return;
-            }
-            for i in 0..self.next_reached.len() {
-                self.arrive(states, self.next_reached[i], steps as u32, path);
-            }
-            std::mem::swap(&mut self.level, &mut self.next_level);
+        std::mem::swap(&mut self.level, &mut self.next_level);
+        for i in 0..self.next_reached.len() {
+            self.arrive(states, self.next_reached[i], side, path, table);
         }
     }
 
-    /// Notes the mentor states that state `id`, `steps` steps after t, is similar to.
-    fn arrive(&mut self, states: &States, id: u32, steps: u32, path: &Path<'_>) {
+    /// Notes the mentor states that state `id`, on the present level after t, is similar to.
+    fn arrive(
+        &mut self,
+        states: &States,
+        id: u32,
+        side: &mut Side,
+        path: &Path<'_>,
+        table: &AnnotationTable,
+    ) {
+        let steps = side.steps as u32;
         path.similarity.states(states.whitened(id), &mut self.stack, &mut self.hits);
         for hit in &self.hits {
             let m = hit.state as usize;
             if self.ends.steps[m] == NEVER {
                 self.ends.touched.push(hit.state);
+                for j in path.order.behind(m, path.rule.n) {
+                    side.asks = side.asks.max(spare(j, side.steps, path, table).unwrap_or(0));
+                }
             }
             if (steps, hit.kl) < (self.ends.steps[m], self.ends.kl[m]) {
                 (self.ends.steps[m], self.ends.kl[m]) = (steps, hit.kl);
@@ -239,57 +244,50 @@ impl Search {
         }
     }
 
-    /// Fills `starts`, with at most `before` steps to t.
-    fn backward(&mut self, new: &Arrival<'_>, before: usize, path: &Path<'_>, table: &AnnotationTable) {
-        let Arrival { states, graph, t, .. } = *new;
-        self.slots.resize(states.bound().max(self.slots.len()), 0);
-        self.left.first_time(t.from);
-        self.back.clear();
-        self.back.push((t.from, First { action: t.action, reward: t.reward, to: t.to }));
-        self.depart(states, 0, path, table);
-        let mut looks = Looks { count: 0, limit: self.limit };
-        for steps in 1..=before {
-            self.next_back.clear();
-            let Self { reached, left, back, next_back, slots, .. } = self;
-            for &(z, _) in back.iter() {
-                similar(graph, states, z, path, &mut looks, |y, looks| {
-                    if !reached.first_time(y) {
-                        return;
+    /// The next level of states before t.
+    fn backward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
+        let Arrival { states, graph, .. } = *new;
+        self.next_back.clear();
+        let Self { entered, left, back, next_back, slots, .. } = self;
+        for &(z, _) in back.iter() {
+            similar(graph, states, z, path, side, |y, side| {
+                if !entered.first_time(y) {
+                    return;
+                }
+                side.look(graph.incoming(y).len());
+                for link in graph.incoming(y) {
+                    let Some((action, reward)) = link.best_continuing() else { continue };
+                    let (x, first) = (link.from, First { action, reward, to: y });
+                    if left.first_time(x) {
+                        slots[x as usize] = next_back.len() as u32;
+                        next_back.push((x, first));
+                    } else if let Some((at, known)) = next_back.get_mut(slots[x as usize] as usize)
+                        && *at == x
+                        && first.beats(known, states)
+                    {
+                        *known = first;
                     }
-                    looks.count += graph.incoming(y).len();
-                    for link in graph.incoming(y) {
-                        let Some((action, reward)) = link.best_continuing() else { continue };
-                        let (x, first) = (link.from, First { action, reward, to: y });
-                        if left.first_time(x) {
-                            slots[x as usize] = next_back.len() as u32;
-                            next_back.push((x, first));
-                        } else if let Some((at, known)) = next_back.get_mut(slots[x as usize] as usize)
-                            && *at == x
-                            && first.beats(known, states)
-                        {
-                            *known = first;
-                        }
-                    }
-                });
-            }
-            if looks.exhausted() {
-                self.cut_short += 1;
-                return;
-            }
-            std::mem::swap(&mut self.back, &mut self.next_back);
-            self.depart(states, steps as u32, path, table);
+                }
+            });
         }
+        side.steps += 1;
+        side.open = !side.exhausted() && !next_back.is_empty();
+        if side.exhausted() {
+            return;
+        }
+        std::mem::swap(&mut self.back, &mut self.next_back);
+        self.depart(states, side, path, table);
     }
 
-    /// Notes the infeasible mentor transitions whose beginnings the states of `back`, `steps` steps before t, are
-    /// similar to.
-    fn depart(&mut self, states: &States, steps: u32, path: &Path<'_>, table: &AnnotationTable) {
+    /// Notes the mentor transitions whose beginnings the states of `back`, on the present level before t, are similar
+    /// to, where a bridge through them could be of use.
+    fn depart(&mut self, states: &States, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
+        let steps = side.steps as u32;
         for &(x, first) in &self.back {
             path.similarity.states(states.whitened(x), &mut self.stack, &mut self.hits);
             for (j, _) in transitions(&self.hits, path.order) {
-                if table.errors()[j] < path.rule.e_infeas {
-                    continue;
-                }
+                let Some(spare) = spare(j, side.steps, path, table) else { continue };
+                side.asks = side.asks.max(spare);
                 let known = self.starts.steps[j];
                 if known == NEVER {
                     self.starts.touched.push(j as u32);
@@ -337,38 +335,12 @@ impl Search {
     }
 }
 
-/// How much a search has looked at in one direction.
-struct Looks {
-    count: usize,
-    limit: usize,
-}
-
-impl Looks {
-    fn exhausted(&self) -> bool {
-        self.count > self.limit
+/// How many steps a bridge for mentor transition `j` may still have, besides t and `steps` others, to be as short as the
+/// one that is known. None if it would be longer anyway, or if `j` is feasible and needs no bridge.
+fn spare(j: usize, steps: usize, path: &Path<'_>, table: &AnnotationTable) -> Option<usize> {
+    if table.errors()[j] < path.rule.e_infeas {
+        return None;
     }
-}
-
-/// Calls `visit` with every stored state similar to state `id` while the limit lasts. Each state that is looked at
-/// counts.
-fn similar(
-    graph: &Graph,
-    states: &States,
-    id: u32,
-    path: &Path<'_>,
-    looks: &mut Looks,
-    mut visit: impl FnMut(u32, &mut Looks),
-) {
-    let centre = states.whitened(id);
-    graph.cells.nearby(centre, |list| {
-        looks.count += list.len();
-        for &other in list {
-            if looks.exhausted() {
-                return;
-            }
-            if kl(centre, states.whitened(other)) <= path.similarity.e_th() {
-                visit(other, looks);
-            }
-        }
-    });
+    let longest = table.bridge(j).map_or(path.rule.k, |b| path.rule.k.min(b.length as usize));
+    longest.checked_sub(1 + steps)
 }

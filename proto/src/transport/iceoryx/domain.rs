@@ -5,6 +5,7 @@
 //! start time, so that what a dead run left can be told from what a living one needs.
 
 use super::Ipc;
+use crate::limits::MAX_ACTORS;
 use iceoryx2::prelude::{
     Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode,
 };
@@ -14,6 +15,8 @@ use std::io::{self, ErrorKind};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
+/// How often removing a run's root is tried anew when others remove it, too: more than it has processes.
+const REMOVALS: u32 = 2 * MAX_ACTORS;
 const SHM: &str = "/dev/shm";
 /// iceoryx2 adds at most this to root path and prefix in the name of a socket; see `MAX_SOCKET_PATH`.
 const ICEORYX_SUFFIX: usize = 37;
@@ -159,8 +162,24 @@ impl Domain {
     }
 
     /// Removes the root and all files in `/dev/shm`; none of the run's processes may need them any more. What is
-    /// already gone is no error.
+    /// already gone is no error: several processes may be removing the same run.
     pub fn remove(&self) -> Result<(), DomainError> {
+        let mut attempts = 0;
+        loop {
+            match self.try_remove() {
+                // Another process is in the middle of the same directory.
+                Err(DomainError::Io { source, .. })
+                    if attempts < REMOVALS
+                        && matches!(source.kind(), ErrorKind::NotFound | ErrorKind::DirectoryNotEmpty) =>
+                {
+                    attempts += 1;
+                }
+                result => return result,
+            }
+        }
+    }
+
+    fn try_remove(&self) -> Result<(), DomainError> {
         for file in self.shared_memory()? {
             match fs::remove_file(&file) {
                 Err(e) if e.kind() != ErrorKind::NotFound => return Err(io_error(&file)(e)),
