@@ -10,8 +10,9 @@ pub(crate) struct BuildInfo {
     commit: Option<&'static str>,
     profile: &'static str,
     target: String,
-    /// Instruction set that the kernels use on this machine.
+    /// Instruction set that the kernels use on this machine, and all that they could use.
     isa: String,
+    cpu_features: Vec<String>,
     /// The environments' engines.
     backends: &'static [&'static str],
 }
@@ -24,6 +25,7 @@ impl BuildInfo {
             profile: if cfg!(debug_assertions) { "dev" } else { "release" },
             target: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             isa: trestle_qnet::Isa::detect().to_string(),
+            cpu_features: trestle_qnet::Isa::available().map(|isa| isa.to_string()).collect(),
             backends: &["maze"],
         }
     }

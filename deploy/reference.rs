@@ -4,9 +4,9 @@
 //! distributed run must end with the same weights, bit for bit. What is missing here is everything that could go
 //! wrong between processes.
 
-use crate::supervise::Ended;
 use crate::supervise::display::Display;
 use crate::supervise::prepare::Prepared;
+use crate::supervise::{Ended, HeldSignals};
 use anyhow::{Context, Result, ensure};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,11 +20,14 @@ use trestle_proto::observe::Observed;
 use trestle_proto::plan::RunPlan;
 
 /// Trains the prepared run in this process.
-pub(crate) fn run(prepared: &Prepared, quiet: bool) -> Result<Ended> {
+pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let (plan, dir) = (prepared.plan(), prepared.dir());
     ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep");
     let stop = Arc::new(AtomicBool::new(false));
-    signal_hook::flag::register(signal_hook::consts::SIGINT, stop.clone()).context("cannot handle Ctrl-C")?;
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
+    }
+    drop(held);
 
     let mut workers =
         (0..plan.config.run.actors).map(|index| Worker::new(plan, index)).collect::<Result<Vec<_>, _>>()?;

@@ -102,3 +102,12 @@ fn a_directory_is_chosen_where_none_is_given() {
     assert!(place.root().join("runs/maze-small-dqn-seed3/result.json").is_file());
     start_under(&["sh", "-c", &cd, "sh"], &args).finish().refused(&["runs/maze-small-dqn-seed3 exists"]);
 }
+
+#[test]
+fn a_reader_may_have_seen_enough() {
+    let printing: [&[&str]; 3] = [&["config", "show", "maze30"], &["config", "check", "maze30"], &["doctor"]];
+    for args in printing {
+        let outcome = start_under(&["sh", "-c", "\"$@\" | true", "sh"], args).finish().ok();
+        assert_eq!(outcome.stderr, "", "{args:?}");
+    }
+}

@@ -1,6 +1,7 @@
-//! Runs share a host without noticing each other.
+//! Runs share a host without noticing each other, and never a directory.
 
-use crate::util::{Place, Trace, assert_gone, start};
+use crate::util::{Place, Trace, assert_gone, evaluations, result, start};
+use nix::sys::signal::Signal;
 
 fn args(seed: &str) -> Vec<&str> {
     vec!["maze-small", "--env-steps", "6000", "--seed", seed]
@@ -29,4 +30,37 @@ fn two_at_once() {
 #[test]
 fn six_at_once() {
     at_once(&["1", "2", "3", "4", "5", "6"]);
+}
+
+#[test]
+fn a_directory_in_use_is_refused() {
+    let place = Place::new();
+    let endless = ["maze-small", "--episodes", "1000000000", "--set", "checkpoint.every_env_steps=1000"];
+    let mut run = start(&place.training("run", &endless));
+    let dir = place.run("run");
+    run.wait_for("a checkpoint", || dir.last().exists());
+    for how in ["--resume", "--overwrite"] {
+        let args = place.training("run", &[&endless[..], &[how]].concat());
+        start(&args).finish().refused(&["run: a run is in progress", "--out"]);
+    }
+    let rows = evaluations(&dir);
+    run.wait_for("the run to go on", || evaluations(&dir) > rows);
+    run.signal(Signal::SIGINT);
+    run.finish().code(130);
+    assert_gone(&dir);
+    assert!(result(&dir).interrupted);
+}
+
+#[test]
+fn of_two_starts_in_one_directory_one_trains() {
+    let place = Place::new();
+    let args = place.training("run", &args("1"));
+    let both = [start(&args), start(&args)];
+    let outcomes = both.map(|run| run.finish());
+    let (trained, refused): (Vec<_>, Vec<_>) = outcomes.into_iter().partition(|o| o.status.success());
+    assert_eq!((trained.len(), refused.len()), (1, 1), "{trained:?} {refused:?}");
+    assert!(refused[0].stderr.contains("accepted: another --out"), "{refused:?}");
+    let dir = place.run("run");
+    assert_gone(&dir);
+    assert!(trained[0].stdout.contains(&result(&dir).weights_sha256));
 }

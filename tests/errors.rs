@@ -8,6 +8,8 @@ use std::fs;
 fn refused(place: &Place, args: &[&str], words: &[&str]) -> Outcome {
     let (files, dead) = (tree(place.root()), dead_runs());
     let outcome = trestle(args).refused(words);
+    let causes: Vec<&str> = outcome.stderr.trim_end().split(": ").collect();
+    assert!(causes.windows(2).all(|pair| pair[0] != pair[1]), "said twice: {outcome:?}");
     assert!(outcome.stderr.lines().count() < 12, "a message, not a flood: {outcome:?}");
     assert!(!outcome.stderr.contains("panicked") && outcome.stdout.is_empty(), "{outcome:?}");
     assert!(tree(place.root()) == files, "{args:?} changed files");
@@ -123,6 +125,15 @@ fn flags() {
     refused(&place, &["eval", &place.path("none"), "--episodes", "0"], &["0", "1..=4096"]);
     for role in ["learner", "mentor-server"] {
         refused(&place, &[role, "--run", &place.path("none")], &["none", "not a run's directory"]);
+    }
+    // The processes of a run join one that is in progress.
+    place.train("run", &["maze-small", "--env-steps", "100"]);
+    for role in [&["learner"][..], &["mentor-server"], &["actor", "--index", "0"]] {
+        refused(
+            &place,
+            &[role, &["--run", &place.path("run")]].concat(),
+            &["joining the run", "not in progress"],
+        );
     }
 }
 

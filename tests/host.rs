@@ -1,10 +1,7 @@
 //! Hosts on which no run can start: shared memory that is missing, too small, or cannot be written to. Each test has
 //! its own `/dev/shm` in a mount namespace, which takes the right to make one.
 
-use crate::util::{
-    Outcome, Place, Trace, assert_gone, available, process, processes, send, start, start_under, tree,
-};
-use nix::sys::signal::Signal;
+use crate::util::{Outcome, Place, TRESTLE, Trace, assert_gone, available, start_under, tree};
 use std::fs;
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "3000", "--seed", "4"];
@@ -63,26 +60,43 @@ fn as_much_shared_memory_as_is_asked_for() {
     assert_eq!(Trace::of(&dir), undisturbed);
 }
 
-/// A child that dies before the first tick: the replaced run comes back.
+/// A start that fails when the directory has been made already: too few open files for the run's services.
 #[test]
-fn a_failed_start_restores_what_it_replaces() {
+fn a_failed_start_restores_what_was_there() {
     let place = Place::new();
+    let few = ["sh", "-c", "ulimit -n 24 && exec \"$@\"", "sh"];
+    let failed = |name: &str, more: &[&str]| {
+        let before = tree(place.root());
+        let args = place.training(name, &[&ARGS[..], more].concat());
+        start_under(&few, &args).finish().refused(&["cannot", "open files"]);
+        assert!(tree(place.root()) == before, "{name}");
+    };
+    failed("new", &[]);
+    failed("new", &["--mode", "lockstep", "--actors", "3"]);
+    fs::create_dir(place.root().join("empty")).unwrap();
+    failed("empty", &[]);
     let first = place.train("run", &ARGS);
-    let dir = place.run("run");
-    let plan = fs::read(dir.plan()).unwrap();
-    let args = place.training("run", &["maze-small", "--env-steps", "1000000000", "--overwrite"]);
-    let mut run = start(&args);
-    run.wait_for("the learner", || process(dir.root(), "learner").is_some());
-    let learner = process(dir.root(), "learner").unwrap();
-    // Stopped, the learner cannot begin to train; if it was so quick that it has, there is nothing to restore.
-    send(learner, Signal::SIGSTOP);
-    let began = dir.evals().exists();
-    send(learner, Signal::SIGKILL);
-    run.finish().refused(&["learner", "signal: 9"]);
-    assert_eq!(processes(dir.root()), []);
-    if !began {
-        assert_eq!(fs::read(dir.plan()).unwrap(), plan);
-        assert_eq!(Trace::of(&dir), first);
-        assert_eq!(fs::read_dir(place.root()).unwrap().count(), 1);
+    failed("run", &["--overwrite"]);
+    assert_eq!(Trace::of(&place.run("run")), first);
+}
+
+/// The disk is full in the middle of a run: it ends with the file's name, and what was saved before is sound.
+#[test]
+fn a_full_disk_ends_a_run_and_spares_its_checkpoints() {
+    let place = Place::new();
+    let root = place.root().display();
+    let setup = format!("mount -t tmpfs -o size=3m tmpfs {root}");
+    if !available(&["unshare", "--mount", "sh", "-c", &setup]) {
+        return;
     }
+    // Checkpoints beyond what is kept need room: the first ones fit, and then no more.
+    let sets = ["--set", "checkpoint.every_env_steps=2000", "--set", "checkpoint.keep=1000"];
+    let args = place.training("run", &[&["maze-small", "--env-steps", "1000000"], &sets[..]].concat());
+    let eval = format!("{} eval {root}/run", TRESTLE);
+    let script = format!("{setup}; \"$@\"; code=$?; {eval} && exit $code");
+    let outcome = start_under(&["unshare", "--mount", "sh", "-c", &script, "sh"], &args).finish();
+    assert!(outcome.stdout.contains("mean return"), "{outcome:?}");
+    let outcome = outcome.refused(&["learner", "cannot write", "No space left on device"]);
+    let last = outcome.stderr.lines().last().unwrap();
+    assert_eq!(last.matches("No space left").count(), 1, "said once: {last}");
 }

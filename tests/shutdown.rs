@@ -1,8 +1,8 @@
 //! Ends that nobody wishes for: Ctrl-C, kills of the supervisor and of its children.
 
 use crate::util::{
-    LIMIT, Place, Process, assert_gone, domain, evaluations, newest_checkpoint, process, processes, result,
-    send, start, wait_until_gone,
+    LIMIT, Place, Process, assert_gone, dead_runs, domain, evaluations, newest_checkpoint, process,
+    processes, result, send, start, start_under, wait_until, wait_until_gone,
 };
 use nix::sys::signal::Signal;
 use std::fs;
@@ -47,28 +47,83 @@ fn a_second_signal_stops_at_once() {
     let learner = process(dir.root(), "learner").unwrap();
     send(learner, Signal::SIGSTOP);
     run.signal(Signal::SIGINT);
-    let told = run.pid();
     let stderr = |run: &Process| run.stderr_so_far().contains("once more to stop at once");
-    assert!(crate::util::wait_until(LIMIT, || stderr(&run)));
-    assert!(run.is_running(), "{told} waits for the learner");
+    assert!(wait_until(LIMIT, || stderr(&run)));
+    assert!(run.is_running(), "it waits for the learner");
     run.signal(Signal::SIGINT);
     run.finish().code(130);
     assert_gone(&dir);
 }
 
+/// What a run has come to while it starts, and how to see it.
+type Moment = (&'static str, fn(&RunDir) -> bool);
+
+/// Moments of a start, in their order.
+const START: [Moment; 7] = [
+    ("its directory", |dir| dir.root().exists()),
+    ("its plan", |dir| dir.plan().exists()),
+    ("its place in shared memory", |dir| dir.read_plan().is_ok() && domain(dir).root().exists()),
+    ("its learner", |dir| process(dir.root(), "learner").is_some()),
+    ("its mentor-server", |dir| process(dir.root(), "mentor-server").is_some()),
+    ("its last actor", |dir| process(dir.root(), "actor-1").is_some()),
+    ("its records", |dir| dir.evals().exists()),
+];
+
 #[test]
-fn a_signal_before_the_first_tick_leaves_no_directory() {
+fn a_signal_while_a_run_starts_leaves_nothing_or_a_checkpoint() {
     let place = Place::new();
-    // A place of its own is what a supervisor makes once it handles signals and before it starts anything.
-    let mut run = start(&place.training("run", &ENDLESS));
+    for (i, (what, reached)) in START.into_iter().enumerate() {
+        let name = i.to_string();
+        let dead = dead_runs();
+        let mut run = start(&place.training(&name, &[&ENDLESS[..], &["--actors", "2"]].concat()));
+        let dir = place.run(&name);
+        run.wait_for(what, || reached(&dir));
+        run.signal(Signal::SIGINT);
+        let outcome = run.finish().code(130);
+        if dir.root().exists() {
+            assert_gone(&dir);
+            assert!(result(&dir).interrupted && newest_checkpoint(&dir).is_some(), "at {what}: {outcome:?}");
+            assert!(outcome.stdout.contains("weights_sha256"), "at {what}: {outcome:?}");
+        } else {
+            assert!(outcome.stderr.contains("before anything was saved"), "at {what}: {outcome:?}");
+            assert_eq!(processes(dir.root()), []);
+        }
+        assert!(wait_until(LIMIT, || dead_runs().iter().all(|run| dead.contains(run))), "at {what}");
+    }
+}
+
+#[test]
+fn a_run_outlives_its_terminal_if_told_to() {
+    let place = Place::new();
+    // As `nohup` starts a program.
+    let args = place.training("run", &ENDLESS);
+    let mut run = start_under(&["sh", "-c", "trap '' HUP; exec \"$@\"", "sh"], &args);
     let dir = place.run("run");
-    run.wait_for("the run's place", || dir.read_plan().is_ok() && domain(&dir).root().exists());
-    let domain = domain(&dir);
-    run.signal(Signal::SIGINT);
-    let outcome = run.finish().code(130);
-    // It may have begun to train by then; if so, it has saved.
-    assert_eq!(dir.root().exists(), outcome.stdout.contains("weights_sha256"), "{outcome:?}");
-    assert!(!domain.root().exists() && domain.shared_memory().unwrap().is_empty());
+    run.wait_for("an evaluation", || evaluations(&dir) > 0);
+    run.signal(Signal::SIGHUP);
+    let before = evaluations(&dir);
+    run.wait_for("the run to go on", || evaluations(&dir) > before + 3);
+    run.signal(Signal::SIGTERM);
+    run.finish().code(130);
+    assert_gone(&dir);
+}
+
+#[test]
+fn a_run_does_not_need_anybody_to_read_what_it_prints() {
+    let place = Place::new();
+    let status = place.path("status");
+    for (i, quiet) in [&["--quiet"][..], &[]].into_iter().enumerate() {
+        let out = place.path(&i.to_string());
+        let args = [&["train", "maze-small", "--env-steps", "3000", "--out", &out], quiet].concat();
+        let script = format!("{{ \"$@\"; echo $? > {status}; }} 2>&1 | true");
+        start_under(&["sh", "-c", &script, "sh"], &args).finish().ok();
+        assert!(
+            wait_until(LIMIT, || fs::read_to_string(&status).is_ok_and(|text| text == "0\n")),
+            "{quiet:?}"
+        );
+        assert_eq!(result(&place.run(&i.to_string())).env_steps, 3000);
+        fs::remove_file(&status).unwrap();
+    }
 }
 
 #[test]
@@ -84,13 +139,8 @@ fn children_do_not_outlive_a_killed_supervisor() {
 #[test]
 fn children_do_not_outlive_a_supervisor_killed_at_any_moment_of_the_start() {
     let place = Place::new();
-    let moments: [(&str, fn(&RunDir) -> bool); 4] = [
-        ("the learner", |dir| process(dir.root(), "learner").is_some()),
-        ("the mentor-server", |dir| process(dir.root(), "mentor-server").is_some()),
-        ("an actor", |dir| process(dir.root(), "actor-1").is_some()),
-        ("the records", |dir| dir.evals().exists()),
-    ];
-    for (i, (what, reached)) in moments.into_iter().enumerate() {
+    // Before that there is nothing that a child could remove.
+    for (i, (what, reached)) in START.into_iter().enumerate().skip(3) {
         let name = i.to_string();
         let mut run = start(&place.training(&name, &[&ENDLESS[..], &["--actors", "2"]].concat()));
         let dir = place.run(&name);
@@ -117,14 +167,16 @@ fn a_killed_child_ends_the_run() {
 }
 
 #[test]
-fn a_child_that_fails_at_its_start_is_named_and_the_directory_given_up() {
+fn a_child_that_fails_while_the_run_starts_is_named() {
     let place = Place::new();
-    let mut run = start(&place.training("run", &ENDLESS));
-    let dir = place.run("run");
-    run.wait_for("an actor", || process(dir.root(), "actor-0").is_some());
-    let (actor, domain) = (process(dir.root(), "actor-0").unwrap(), domain(&dir));
-    send(actor, Signal::SIGKILL);
-    run.finish().refused(&["actor-0", "signal: 9"]);
-    assert_eq!(processes(dir.root()), []);
-    assert!(!domain.root().exists() && domain.shared_memory().unwrap().is_empty());
+    for role in ["learner", "mentor-server", "actor-0"] {
+        let mut run = start(&place.training(role, &ENDLESS));
+        let dir = place.run(role);
+        run.wait_for(role, || process(dir.root(), role).is_some());
+        let domain = domain(&dir);
+        send(process(dir.root(), role).unwrap(), Signal::SIGKILL);
+        run.finish().refused(&[role, "signal: 9"]);
+        assert_eq!(processes(dir.root()), []);
+        assert!(!domain.root().exists() && domain.shared_memory().unwrap().is_empty());
+    }
 }

@@ -23,6 +23,15 @@ pub enum RunError {
     Codec(#[from] CodecError),
 }
 
+/// Why an actor left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Left {
+    /// The learner sent [`STOP`]: the run is over.
+    Stopped,
+    /// `stop` said so, in the middle of the run.
+    Told,
+}
+
 /// Serves the learner at the other end of `link` with `worker`, until it sends [`STOP`] or `stop` says so.
 ///
 /// # Errors
@@ -32,7 +41,7 @@ pub fn run(
     worker: &mut Worker,
     rollout: usize,
     stop: Stop<'_>,
-) -> Result<(), RunError> {
+) -> Result<Left, RunError> {
     link.hello(stop)?;
     tracing::info!("ready");
     let mut params = vec![0.0; worker.n_params()];
@@ -56,12 +65,15 @@ pub fn run(
                 let payload = worker.snapshot()?;
                 link.send_reply(&Reply { header: header(worker, &tick, ACTOR_STATE), payload })?;
             }
-            STOP => break,
+            STOP => {
+                tracing::info!("the run is over");
+                return Ok(Left::Stopped);
+            }
             _ => {}
         }
     }
-    tracing::info!("leaving");
-    Ok(())
+    tracing::info!("told to leave");
+    Ok(Left::Told)
 }
 
 fn header(worker: &Worker, tick: &Tick, kind: u32) -> ReplyHeader {

@@ -8,29 +8,44 @@ use trestle_proto::config;
 
 pub(super) fn run(args: &Config) -> Result<ExitCode> {
     match args {
-        Config::Show(source) => print!("{}", config::to_toml(&load(source)?)),
+        Config::Show(source) => show(&load(source)?)?,
         Config::Check(source) => {
             let resolved = prepare::resolve(load(source)?)?;
             let spec = &resolved.spec;
-            println!("{}: a run could start", source.config);
-            println!(
+            outln!("{}: a run could start", source.config);
+            outln!(
                 "  environment    {}, {} features, actions {}",
                 spec.name,
                 spec.obs_dim(),
                 spec.actions.join(" ")
             );
             if let Some(best) = spec.best_return {
-                println!("  best return    {best:.2}");
+                outln!("  best return    {best:.2}");
             }
             if let Some(demonstration) = &resolved.demonstration {
-                println!("  demonstration  {} transitions", demonstration.n_transitions());
+                outln!("  demonstration  {} transitions", demonstration.n_transitions());
             }
             if let Some(warning) = resolved.warning() {
-                println!("warning: {warning}");
+                outln!("warning: {warning}");
             }
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Every setting; what is not set, which TOML cannot say, as comments.
+fn show(config: &config::Config) -> Result<()> {
+    outln!("{}", config::to_toml(config).trim_end());
+    let unset = [
+        ("run.episodes", config.run.episodes.is_none()),
+        ("run.env_steps", config.run.env_steps.is_none()),
+        ("env.layout", config.env.layout.is_none()),
+        ("eval.threshold", config.eval.threshold.is_none()),
+    ];
+    for (key, _) in unset.iter().filter(|(_, unset)| *unset) {
+        outln!("# {key} is not set");
+    }
+    Ok(())
 }
 
 fn load(source: &Source) -> Result<config::Config> {

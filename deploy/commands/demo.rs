@@ -24,7 +24,7 @@ pub(super) fn run(args: &Demo) -> Result<ExitCode> {
             let resolved = meet(config)?;
             let demonstration = resolved.demonstration.as_ref().context("the configuration has no mentor")?;
             demo_file::write(out, demonstration)?;
-            println!(
+            outln!(
                 "{}: {} states, {} transitions",
                 out.display(),
                 demonstration.n_states(),
@@ -56,15 +56,15 @@ fn inspect(demo: &Path, config: Option<&str>, sets: &[String]) -> Result<()> {
     let (Some(demonstration), Some(metric)) = (&resolved.demonstration, &resolved.metric) else {
         anyhow::bail!("{name} has no mentor");
     };
-    println!("{} with the settings of {name}", file.display());
+    outln!("{} with the settings of {name}", file.display());
     let mentor = &resolved.config.mentor;
-    print!("{}", summarise(demonstration, metric, mentor.n as usize));
-    println!("thresholds    mentor.e_th {}, mentor.e_infeas {}", mentor.e_th, mentor.e_infeas);
+    outln!("{}", summarise(demonstration, metric, mentor.n as usize).to_string().trim_end());
+    outln!("thresholds    mentor.e_th {}, mentor.e_infeas {}", mentor.e_th, mentor.e_infeas);
     if let Some(warning) = resolved.warning() {
-        println!("warning: {warning}");
+        outln!("warning: {warning}");
     }
     if resolved.config.env.kind == EnvKind::Maze {
-        println!("{}", draw(&map_of(&resolved.config.env)?, &cells(demonstration.states()), 'm'));
+        outln!("{}", draw(&map_of(&resolved.config.env)?, &cells(demonstration.states()), 'm'));
     }
     Ok(())
 }

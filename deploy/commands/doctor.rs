@@ -15,9 +15,10 @@ const FEW_FILES: u64 = 1024;
 
 pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     let mut sound = true;
-    let mut line = |good: bool, text: String| {
+    let mut line = |good: bool, text: String| -> Result<()> {
         sound &= good;
-        println!("{}  {text}", if good { "ok  " } else { "BAD " });
+        outln!("{}  {text}", if good { "ok  " } else { "BAD " });
+        Ok(())
     };
     match statvfs("/dev/shm") {
         Ok(stat) => {
@@ -26,20 +27,20 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
             line(
                 free >= LITTLE_SHARED_MEMORY,
                 format!("shared memory: {} of {} MiB free in /dev/shm", free >> 20, total >> 20),
-            );
+            )?;
         }
-        Err(error) => line(false, format!("shared memory: /dev/shm cannot be used: {error}")),
+        Err(error) => line(false, format!("shared memory: /dev/shm cannot be used: {error}"))?,
     }
     match getrlimit(Resource::RLIMIT_NOFILE) {
         Ok((soft, hard)) => {
-            line(soft >= FEW_FILES, format!("open files: {soft} allowed (at most {hard}; see `ulimit -n`)"));
+            line(soft >= FEW_FILES, format!("open files: {soft} allowed (at most {hard}; see `ulimit -n`)"))?;
         }
-        Err(error) => line(false, format!("open files: {error}")),
+        Err(error) => line(false, format!("open files: {error}"))?,
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()));
+    line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()))?;
     let (living, dead): (Vec<Domain>, Vec<Domain>) = Domain::all()?.into_iter().partition(Domain::is_alive);
-    line(true, format!("runs in progress: {}", living.len()));
+    line(true, format!("runs in progress: {}", living.len()))?;
     for domain in &dead {
         let files = domain.shared_memory()?;
         let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
@@ -47,9 +48,9 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
             format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
         if args.fix {
             domain.remove()?;
-            line(true, format!("{what}: removed"));
+            line(true, format!("{what}: removed"))?;
         } else {
-            line(false, format!("{what}; `trestle doctor --fix` removes it"));
+            line(false, format!("{what}; `trestle doctor --fix` removes it"))?;
         }
     }
     ensure!(sound, "something needs attention");

@@ -35,17 +35,17 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     let mean = |of: &dyn Fn(&trestle_proto::reply::EvaluationEpisode) -> f64| {
         evaluation.episodes.iter().map(of).sum::<f64>() / n
     };
-    println!("{}, checkpoint {}", plan.spec.name, path.display());
-    println!("  episodes      {}", evaluation.episodes.len());
-    println!("  mean return   {:.3}", mean(&|e| e.total_reward));
-    println!("  mean steps    {:.1}", mean(&|e| e.length as f64));
-    println!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success))));
+    outln!("{}, checkpoint {}", plan.spec.name, path.display());
+    outln!("  episodes      {}", evaluation.episodes.len());
+    outln!("  mean return   {:.3}", mean(&|e| e.total_reward));
+    outln!("  mean steps    {:.1}", mean(&|e| e.length as f64));
+    outln!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success))));
     if let Some(threshold) = plan.threshold() {
-        println!("  threshold     {threshold:.3}");
+        outln!("  threshold     {threshold:.3}");
     }
     match (plan.config.env.kind, evaluation.episodes.first()) {
         (EnvKind::Maze, Some(episode)) if !episode.path.is_empty() => {
-            println!("{}", draw(&map_of(&plan.config.env)?, &cells(&episode.path), 'o'));
+            outln!("{}", draw(&map_of(&plan.config.env)?, &cells(&episode.path), 'o'));
         }
         _ => {}
     }

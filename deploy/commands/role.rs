@@ -9,6 +9,7 @@ use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use trestle_actor::run::Left;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
@@ -20,6 +21,9 @@ use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxLearner, Ic
 
 /// Exit status of a process whose supervisor is gone.
 const ORPHANED: i32 = 3;
+/// Exit status of a process that was told to leave, as shells have it: 128 + SIGTERM. It is what a mentor-server ends
+/// with; before the learner's end it is a failure of the run.
+const TOLD: u8 = 143;
 
 /// What every role begins with.
 struct Start {
@@ -87,8 +91,10 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
     }
     let mut link = IceoryxActor::new(&start.domain, &start.plan, args.index)?;
     let rollout = start.plan.config.run.rollout as usize;
-    trestle_actor::run::run(&mut link, &mut worker, rollout, &start.stop())?;
-    Ok(ExitCode::SUCCESS)
+    match trestle_actor::run::run(&mut link, &mut worker, rollout, &start.stop())? {
+        Left::Stopped => Ok(ExitCode::SUCCESS),
+        Left::Told => Ok(ExitCode::from(TOLD)),
+    }
 }
 
 pub(super) fn learner(args: &Role) -> Result<ExitCode> {
@@ -110,5 +116,5 @@ pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
     let mut mentor = trestle_mentor_server::run::mentor_of(&start.plan, &demonstration)?;
     let mut link = IceoryxMentor::new(&start.domain, &start.plan)?;
     trestle_mentor_server::run::run(&mut link, &start.plan, &mut mentor, &start.stop())?;
-    Ok(ExitCode::SUCCESS)
+    Ok(ExitCode::from(TOLD))
 }

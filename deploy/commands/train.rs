@@ -2,9 +2,10 @@
 
 use crate::cli::{Algo, Mode, Train};
 use crate::reference;
-use crate::supervise::{self, Ended, prepare};
+use crate::supervise::{self, Ended, HeldSignals, prepare};
 use anyhow::Result;
 use prepare::Existing;
+use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trestle_learner::record::RunResult;
@@ -24,26 +25,35 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         _ => Existing::Keep,
     };
     let mode = config.run.mode;
-    let resolved = prepare::resolve(config)?;
+    let resolved = match existing {
+        Existing::Resume => prepare::resolve_run(&root, &config)?,
+        Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
+    };
     if let Some(warning) = resolved.warning() {
-        eprintln!("warning: {warning}");
+        crate::output::say(&format!("warning: {warning}"));
     }
+    // From here on there is something that an early Ctrl-C must not leave behind.
+    let held = HeldSignals::new()?;
     let prepared = resolved.prepare(&root, existing)?;
     let ended = match mode {
-        config::Mode::Lockstep => supervise::run(prepared, args.quiet)?,
-        config::Mode::Reference => reference::run(&prepared, args.quiet)?,
+        config::Mode::Lockstep => supervise::run(prepared, held, args.quiet)?,
+        config::Mode::Reference => reference::run(&prepared, held, args.quiet)?,
     };
     match ended {
         Ended::Complete(result) => {
-            report(&result, &root, args.quiet);
+            // Nobody may be reading; the run has still done what was asked.
+            let _ = report(&mut stdout().lock(), &result, &root, args.quiet);
             Ok(ExitCode::SUCCESS)
         }
         Ended::Interrupted(result) => {
             if let Some(result) = result {
-                report(&result, &root, args.quiet);
-                eprintln!("interrupted; go on with the same command and --resume");
+                let _ = report(&mut stdout().lock(), &result, &root, args.quiet);
+                crate::output::say(match mode {
+                    config::Mode::Lockstep => "interrupted; go on with the same command and --resume",
+                    config::Mode::Reference => "interrupted; a run in one process cannot be resumed",
+                });
             } else {
-                eprintln!("interrupted before anything was saved");
+                crate::output::say("interrupted before anything was saved");
             }
             Ok(ExitCode::from(INTERRUPTED))
         }
@@ -80,27 +90,30 @@ fn default_out(name: &str, config: &Config) -> PathBuf {
 }
 
 /// The result in a few lines on standard output, and what to type next.
-fn report(r: &RunResult, root: &Path, quiet: bool) {
+fn report(out: &mut impl Write, r: &RunResult, root: &Path, quiet: bool) -> io::Result<()> {
     let at = |episode: Option<u64>, steps: Option<u64>| match (episode, steps) {
         (Some(episode), Some(steps)) => format!("episode {episode}, {steps} environment steps"),
         _ => "not reached".into(),
     };
     let number = |value: Option<f64>| value.map_or("none".into(), |v| format!("{v:.2}"));
-    println!("{} on {}, seed {}: {}", r.algo, r.env, r.seed, root.display());
-    println!("  solved   {}", at(r.solved_episode, r.solved_env_steps));
-    println!("  optimal  {}", at(r.optimal_episode, r.optimal_env_steps));
-    println!(
+    writeln!(out, "{} on {}, seed {}: {}", r.algo, r.env, r.seed, root.display())?;
+    writeln!(out, "  solved   {}", at(r.solved_episode, r.solved_env_steps))?;
+    writeln!(out, "  optimal  {}", at(r.optimal_episode, r.optimal_env_steps))?;
+    writeln!(
+        out,
         "  greedy return  last {}, best {}, threshold {}",
         number(r.final_return),
         number(r.best_return),
         number(r.threshold)
-    );
-    println!(
+    )?;
+    writeln!(
+        out,
         "  {} episodes, {} environment steps, {} gradient steps in {:.1} s",
         r.episodes, r.env_steps, r.grad_steps, r.wall_s
-    );
-    println!("  weights_sha256  {}", r.weights_sha256);
+    )?;
+    writeln!(out, "  weights_sha256  {}", r.weights_sha256)?;
     if !quiet {
-        println!("next: trestle eval {}", root.display());
+        writeln!(out, "next: trestle eval {}", root.display())?;
     }
+    Ok(())
 }

@@ -45,7 +45,7 @@ impl Display {
     pub(crate) fn say(&self, text: &str) {
         match &self.how {
             How::Bar(bar) => bar.println(text),
-            How::Lines { .. } | How::Quiet => eprintln!("{text}"),
+            How::Lines { .. } | How::Quiet => crate::output::say(text),
         }
     }
 
@@ -56,7 +56,7 @@ impl Display {
                 let due = last.get().is_none_or(|at| at.elapsed() >= LINES_EVERY);
                 if due {
                     last.set(Some(Instant::now()));
-                    eprintln!("{}", self.describe(progress));
+                    crate::output::say(&self.describe(progress));
                 }
             }
             How::Bar(bar) => {

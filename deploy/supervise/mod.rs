@@ -2,21 +2,24 @@
 //!
 //! - [`prepare`]: from a configuration to a run directory and its plan, or a refusal with nothing left behind;
 //! - `children`: the processes;
-//! - `display`: what the user sees meanwhile.
+//! - `display`: what the user sees meanwhile;
+//! - `hold`: what the run keeps to itself.
 
 mod children;
 pub(crate) mod display;
+mod hold;
 pub(crate) mod prepare;
 
 use anyhow::{Context, Result, bail};
 use children::{Child, Role, log_tail};
 use display::Display;
+pub(crate) use hold::HeldSignals;
 use prepare::Prepared;
 use std::process::ExitStatus;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use trestle_learner::record::{Progress, RunResult};
-use trestle_proto::limits::GRACE;
+use trestle_proto::limits::{GRACE, REAP};
 use trestle_proto::transport::iceoryx::{Domain, Services};
 
 /// How a run ended.
@@ -39,21 +42,22 @@ impl Drop for Cleanup {
 }
 
 /// Trains the prepared run in its processes and waits for its end.
-pub(crate) fn run(prepared: Prepared, quiet: bool) -> Result<Ended> {
+pub(crate) fn run(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(supervise(prepared, quiet))
+    runtime.block_on(supervise(prepared, held, quiet))
 }
 
-async fn supervise(prepared: Prepared, quiet: bool) -> Result<Ended> {
-    // Before anything exists that an early Ctrl-C would leave behind.
+async fn supervise(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let mut signals = Signals::new()?;
+    drop(held);
     let cleanup = Cleanup(prepared.create_domain()?);
-    let services = Services::create(&cleanup.0, prepared.plan())
-        .context("cannot create the run's services in shared memory")?;
+    let services = Services::create(&cleanup.0, prepared.plan()).context(
+        "cannot create the run's services (`trestle doctor` looks at shared memory and open files)",
+    )?;
     let display = Display::new(prepared.plan(), quiet);
     let (events, mut inbox) = mpsc::channel(64);
     let mut children = children::start_all(&prepared, &events)?;
-    let outcome = watch(&mut children, &mut inbox, &mut signals, &display, &prepared).await;
+    let outcome = watch(&mut children, &mut inbox, &mut signals, &display, &prepared, &services).await;
     display.finish();
     stop_all(&mut children, &mut inbox).await;
     drop(services);
@@ -70,7 +74,8 @@ enum Event {
 struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    hangup: Signal,
+    /// None for a run that is to outlive its terminal.
+    hangup: Option<Signal>,
 }
 
 impl Signals {
@@ -78,15 +83,21 @@ impl Signals {
         Ok(Self {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
-            hangup: signal(SignalKind::hangup())?,
+            hangup: if hold::ignores_hangup() { None } else { Some(signal(SignalKind::hangup())?) },
         })
     }
 
     async fn any(&mut self) {
+        let hangup = async {
+            match &mut self.hangup {
+                Some(hangup) => hangup.recv().await,
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
-            _ = self.hangup.recv() => {}
+            _ = hangup => {}
         }
     }
 }
@@ -98,14 +109,16 @@ async fn watch(
     signals: &mut Signals,
     display: &Display,
     prepared: &Prepared,
+    services: &Services,
 ) -> Result<Ended> {
     let (mut interrupted, mut began) = (false, false);
+    let mut reap = tokio::time::interval_at(tokio::time::Instant::now() + REAP, REAP);
     loop {
         tokio::select! {
+            _ = reap.tick() => services.reap(),
             () = signals.any() => {
                 if interrupted {
                     tracing::warn!("interrupted twice: stopping at once");
-                    prepared.give_up(began)?;
                     return Ok(Ended::Interrupted(None));
                 }
                 interrupted = true;
@@ -135,13 +148,9 @@ async fn watch(
                             });
                         }
                         (_, true) => {}
-                        (_, false) if interrupted && !began => {
-                            prepared.give_up(began)?;
-                            return Ok(Ended::Interrupted(None));
-                        }
+                        (_, false) if interrupted && !began => return Ok(Ended::Interrupted(None)),
                         (_, false) => {
                             let tail = log_tail(prepared.dir(), role);
-                            prepared.give_up(began)?;
                             bail!("{role} ended with {status}; the end of its log:\n{tail}");
                         }
                     }

@@ -3,10 +3,13 @@
 //! Everything that can be refused is refused before the first file is written. Until the run has begun to train, the
 //! directory can still be given up; what `--overwrite` replaces is kept beside it until then.
 
+use super::hold::lock;
 use crate::build_info::BuildInfo;
 use anyhow::{Context, Result, bail, ensure};
+use nix::fcntl::Flock;
 use nix::sys::statvfs::statvfs;
-use std::fs;
+use std::cell::Cell;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
@@ -43,21 +46,67 @@ pub(crate) struct Resolved {
     pub(crate) metric: Option<Metric>,
 }
 
-/// A run directory that is ready for its processes.
+/// A run directory that is ready for its processes. If this goes before the run has begun to train, the directory
+/// becomes what it was before.
 #[derive(Debug)]
 pub(crate) struct Prepared {
     dir: RunDir,
     plan: RunPlan,
-    /// Whether this start made the directory.
+    /// Whether the run begins anew.
     fresh: bool,
+    /// Whether this start made the directory itself.
+    made: bool,
     /// Where the run that is being replaced waits.
     replaced: Option<PathBuf>,
+    began: Cell<bool>,
+    /// Keeps other supervisors away.
+    _lock: Option<Flock<File>>,
 }
 
 /// Resolves and checks everything about `config` that needs its map and its demonstration.
 pub(crate) fn resolve(mut config: Config) -> Result<Resolved> {
     config.validate()?;
     trestle_actor::env::resolve(&mut config.env, config.run.seed)?;
+    meet(config)
+}
+
+/// The run in `root` as it is to go on: with its own settings, map and demonstration, and the limits of `typed`, which
+/// must name the same settings.
+pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
+    let dir = RunDir::new(root);
+    let path = dir.config();
+    let text =
+        fs::read_to_string(&path).with_context(|| format!("--resume: cannot read {}", path.display()))?;
+    let mut own = config::parse_toml(&path.display().to_string(), &text)?;
+    own.run.episodes = typed.run.episodes;
+    own.run.env_steps = typed.run.env_steps;
+    // The run's map and demonstration are in its directory: where they came from no longer matters.
+    let mut typed = typed.clone();
+    typed.env.layout.clone_from(&own.env.layout);
+    if own.mentor.demo != "plan" && typed.mentor.demo != "plan" {
+        typed.mentor.demo.clone_from(&own.mentor.demo);
+    }
+    if own != typed {
+        let (old, new) = (config::to_toml(&own), config::to_toml(&typed));
+        let differing = old.lines().zip(new.lines()).find(|(old, new)| old != new);
+        let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
+        bail!(
+            "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
+             run.episodes and run.env_steps",
+            root.display()
+        );
+    }
+    let demo = own.mentor.demo.clone();
+    if demo != "plan" {
+        own.mentor.demo = dir.demonstration().display().to_string();
+    }
+    let mut resolved = meet(own)?;
+    resolved.config.mentor.demo = demo;
+    Ok(resolved)
+}
+
+/// A configuration with its map meets the environment and the demonstration.
+fn meet(config: Config) -> Result<Resolved> {
     let env = trestle_actor::env::build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
@@ -96,6 +145,18 @@ fn demonstration(config: &Config, spec: &EnvSpec) -> Result<Demonstration> {
         path.display(),
         spec.name
     );
+    for (row, state) in demonstration.states().chunks_exact(expected).enumerate() {
+        for (feature, &value) in state.iter().enumerate() {
+            let (low, high) = (spec.low[feature], spec.high[feature]);
+            ensure!(
+                (low..=high).contains(&value) && (!spec.integral || value.fract() == 0.0),
+                "mentor.demo = {}: state {row} has {value} as feature {feature}; accepted: {}{low} to {high}, as in {}",
+                path.display(),
+                if spec.integral { "whole numbers from " } else { "" },
+                spec.name
+            );
+        }
+    }
     Ok(demonstration)
 }
 
@@ -117,77 +178,71 @@ impl Resolved {
         }
     }
 
-    /// Whether a run with this result has reached the limits of this configuration.
-    fn reached(&self, result: &RunResult) -> bool {
+    /// Whether a run with these counts has reached the limits of this configuration.
+    fn reached(&self, episodes: u64, env_steps: u64) -> bool {
         let run = &self.config.run;
-        run.episodes.is_some_and(|limit| result.episodes >= limit)
-            || run.env_steps.is_some_and(|limit| result.env_steps >= limit)
+        run.episodes.is_some_and(|limit| episodes >= limit)
+            || run.env_steps.is_some_and(|limit| env_steps >= limit)
     }
 
     /// Makes the run directory `root`, or takes it over, as `existing` says.
-    pub(crate) fn prepare(self, root: &Path, existing: Existing) -> Result<Prepared> {
+    pub(crate) fn prepare(mut self, root: &Path, existing: Existing) -> Result<Prepared> {
         let dir = RunDir::new(root);
         let occupied = occupied(root)?;
+        let held = if occupied && existing != Existing::Keep { lock(root)? } else { None };
         let resume_tick = match existing {
             Existing::Resume => Some(self.check_resume(&dir)?),
             Existing::Keep if occupied => {
                 bail!("{} exists; accepted: another --out, --resume, or --overwrite", root.display())
             }
-            Existing::Overwrite if occupied && !dir.config().is_file() => bail!(
-                "--overwrite: {} holds something that is not a run (it has no config.toml); remove it yourself",
+            Existing::Overwrite if occupied && dir.read_plan().is_err() => bail!(
+                "--overwrite: {} holds something that is not a run (it has no readable plan.bin); remove it yourself",
                 root.display()
             ),
             _ => None,
         };
+        if resume_tick.is_none() && self.config.mentor.demo != "plan" {
+            // So that the run's own configuration needs no other file.
+            let copy = std::path::absolute(dir.demonstration())
+                .with_context(|| format!("cannot find {}", dir.demonstration().display()))?;
+            self.config.mentor.demo = copy.display().to_string();
+        }
         let plan = self.plan(new_identity(), resume_tick);
         if self.config.run.mode == Mode::Lockstep {
             check_shared_memory(Sizes::of(&plan).shared_memory_bytes())?;
         }
-        let mut prepared = Prepared { dir, plan, fresh: resume_tick.is_none(), replaced: None };
-        if prepared.fresh && occupied {
-            let aside = aside(root)?;
-            fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
-            prepared.replaced = Some(aside);
-        }
-        if let Err(error) = prepared.write(&self) {
-            prepared.give_up(false)?;
-            return Err(error);
-        }
+        let fresh = resume_tick.is_none();
+        let replaced = if fresh && occupied { Some(move_aside(root)?) } else { None };
+        let made = !root.exists();
+        let held = match held.filter(|_| !fresh) {
+            Some(lock) => Some(lock),
+            None => make(root, fresh).inspect_err(|_| {
+                // Where the directory is another start's by now, what it would replace stays aside.
+                replaced.as_ref().map(|aside| fs::rename(aside, root));
+            })?,
+        };
+        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), _lock: held };
+        prepared.write(&self)?;
         Ok(prepared)
     }
 
-    /// The tick of the newest complete checkpoint, if this configuration may go on from it: only the run's length may
-    /// differ from what the directory holds.
+    /// The tick of the newest checkpoint that this configuration can go on from.
     fn check_resume(&self, dir: &RunDir) -> Result<u64> {
-        let path = dir.config();
-        let text =
-            fs::read_to_string(&path).with_context(|| format!("--resume: cannot read {}", path.display()))?;
-        let mut before = config::parse_toml(&path.display().to_string(), &text)?;
-        before.run.episodes = self.config.run.episodes;
-        before.run.env_steps = self.config.run.env_steps;
-        if before != self.config {
-            let (old, new) = (config::to_toml(&before), config::to_toml(&self.config));
-            let differing = old.lines().zip(new.lines()).find(|(old, new)| old != new);
-            let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
-            bail!(
-                "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but \
-                 for run.episodes and run.env_steps",
-                dir.root().display()
-            );
-        }
+        let root = dir.root().display();
         if let Ok(text) = fs::read_to_string(dir.result())
             && let Ok(result) = serde_json::from_str::<RunResult>(&text)
-            && !result.interrupted
-            && self.reached(&result)
+            && self.reached(result.episodes, result.env_steps)
         {
             bail!(
-                "--resume: {} is complete; accepted: a higher --episodes or --env-steps",
-                dir.root().display()
+                "--resume: {root} is complete with {} episodes and {} environment steps; accepted: a higher --episodes or \
+                 --env-steps",
+                result.episodes,
+                result.env_steps
             );
         }
         match checkpoint::newest_resumable(dir.root())? {
             Some((tick, _)) => Ok(tick),
-            None => bail!("--resume: {} holds no checkpoint to go on from", dir.checkpoints().display()),
+            None => bail!("--resume: {root} holds no checkpoint to go on from"),
         }
     }
 }
@@ -206,8 +261,13 @@ impl Prepared {
         Ok(Domain::create(self.plan.run)?)
     }
 
-    /// The run has begun to train: what it replaces is no longer needed.
+    /// The run has begun to train: what it replaces, and the result of what it resumes, are of no use any more.
     pub(crate) fn commit(&self) -> Result<()> {
+        self.began.set(true);
+        let result = self.dir.result();
+        if result.exists() {
+            fs::remove_file(&result).with_context(|| format!("cannot remove {}", result.display()))?;
+        }
         match &self.replaced {
             Some(aside) if aside.exists() => fs::remove_dir_all(aside)
                 .with_context(|| format!("cannot remove the replaced run in {}", aside.display())),
@@ -215,14 +275,13 @@ impl Prepared {
         }
     }
 
-    /// The run has failed or was stopped. If it had not begun to train, the directory becomes what it was before.
-    pub(crate) fn give_up(&self, began: bool) -> Result<()> {
+    /// Makes the directory what it was before this start.
+    fn give_up(&self) -> Result<()> {
         let root = self.dir.root();
-        if began || !self.fresh {
-            return Ok(());
-        }
-        if root.exists() {
+        if self.made {
             fs::remove_dir_all(root).with_context(|| format!("cannot remove {}", root.display()))?;
+        } else {
+            empty(root).with_context(|| format!("cannot empty {}", root.display()))?;
         }
         if let Some(aside) = &self.replaced {
             fs::rename(aside, root)
@@ -246,12 +305,45 @@ impl Prepared {
         write_atomically(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
         let build = serde_json::to_string_pretty(&BuildInfo::new())?;
         write_atomically(&dir.build(), format!("{build}\n").as_bytes())?;
-        if let Some(demonstration) = &resolved.demonstration {
+        if let Some(demonstration) = resolved.demonstration.as_ref().filter(|_| self.fresh) {
             demo_file::write(&dir.demonstration(), demonstration)?;
         }
         write_atomically(&dir.plan(), &self.plan.encode()?)?;
         Ok(())
     }
+}
+
+impl Drop for Prepared {
+    fn drop(&mut self) {
+        if self.fresh
+            && !self.began.get()
+            && let Err(error) = self.give_up()
+        {
+            tracing::error!("{error:#}");
+        }
+    }
+}
+
+/// Makes the run directory `root`, if it is not there, and takes it for this process.
+fn make(root: &Path, fresh: bool) -> Result<Option<Flock<File>>> {
+    fs::create_dir_all(root).with_context(|| format!("cannot make {}", root.display()))?;
+    let lock = lock(root)?;
+    // Another start may have been quicker, and be over.
+    ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
+    Ok(lock)
+}
+
+/// Removes all that is in `dir`.
+fn empty(dir: &Path) -> std::io::Result<()> {
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            fs::remove_dir_all(entry.path())?
+        } else {
+            fs::remove_file(entry.path())?
+        }
+    }
+    Ok(())
 }
 
 /// Whether there is anything at `path` that a new run would disturb.
@@ -263,12 +355,14 @@ fn occupied(path: &Path) -> Result<bool> {
     }
 }
 
-/// A name beside `root` for the run that is being replaced.
-fn aside(root: &Path) -> Result<PathBuf> {
+/// Renames the run that is being replaced; returns where it is.
+fn move_aside(root: &Path) -> Result<PathBuf> {
     let name = root.file_name().with_context(|| format!("{} has no name", root.display()))?;
     let mut aside = name.to_os_string();
     aside.push(format!(".replaced-{}", std::process::id()));
-    Ok(root.with_file_name(aside))
+    let aside = root.with_file_name(aside);
+    fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
+    Ok(aside)
 }
 
 /// An identity for the run's shared memory: 32 bits that no living run has; a clash is found when the domain is made.

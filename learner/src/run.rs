@@ -14,7 +14,7 @@ use std::time::Instant;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
-use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
+use trestle_proto::limits::{MAX_QUERY_ROWS, SILENCE, WAIT_SLICE};
 use trestle_proto::logging;
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
 use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
@@ -175,13 +175,21 @@ impl<L: LearnerLink> Lockstep<'_, L> {
         Ok(())
     }
 
-    /// Waits for the next message, however long it takes (the supervisor notices when a process dies), and puts it
-    /// where it belongs.
+    /// Waits for the next message and puts it where it belongs. The supervisor notices when a process dies; here it is
+    /// noticed when all have fallen silent.
     fn next(&mut self) -> Result<(), RunError> {
         let start = Instant::now();
         let message = loop {
             if let Some(message) = self.link.recv(&mut self.batches, WAIT_SLICE)? {
                 break message;
+            }
+            if start.elapsed() > SILENCE {
+                return Err(LinkError::Deadline {
+                    peer: "actors".into(),
+                    what: "a batch, an evaluation or a snapshot",
+                    waited_ms: SILENCE.as_millis(),
+                }
+                .into());
             }
         };
         self.session.waited(start.elapsed());
@@ -248,6 +256,10 @@ impl<L: LearnerLink> Lockstep<'_, L> {
     fn finish(mut self, tick: u64, ahead: bool) -> Result<RunResult, RunError> {
         if ahead {
             self.receive()?;
+            self.session.cut_short();
+        }
+        while self.session.awaits_evaluation() {
+            self.next()?;
         }
         self.session.request_final_evaluation();
         self.dispatch(tick, true, true)?;

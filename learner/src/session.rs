@@ -237,6 +237,11 @@ impl<'a> Session<'a> {
         self.agent.done()
     }
 
+    /// The actors are ahead of what the agent has learnt from, and will not be taken back: see [`Agent::cut`].
+    pub fn cut_short(&mut self) {
+        self.agent.cut();
+    }
+
     /// Makes a last evaluation due unless there has been one at this very point.
     pub fn request_final_evaluation(&mut self) {
         let now = self.agent.counters();

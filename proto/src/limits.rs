@@ -46,9 +46,13 @@ pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);
 pub const BACKPRESSURE: Duration = Duration::from_secs(10);
 /// Longest sleep of a waiting process before it looks at its shutdown flag again.
 pub const WAIT_SLICE: Duration = Duration::from_millis(200);
+/// How long the learner waits for a message of any actor: longer than the slowest rollout, evaluation or snapshot.
+pub const SILENCE: Duration = Duration::from_secs(300);
 /// How long the supervisor waits for the other processes once the learner has left.
 pub const GRACE: Duration = Duration::from_secs(5);
 /// How long the learner waits for the mentor-server to take in one batch.
 pub const OBSERVE_DEADLINE: Duration = Duration::from_secs(30);
+/// How often the supervisor frees the places of clients of the mentor-server that have died.
+pub const REAP: Duration = Duration::from_secs(10);
 /// How long a client waits for an answer to a query.
 pub const QUERY_DEADLINE: Duration = Duration::from_secs(10);

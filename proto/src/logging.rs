@@ -41,6 +41,8 @@ pub fn init(run: u64, role: &str, level: &str) {
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
+        // A line that cannot be written is lost; to report that in the same place would end the process.
+        .log_internal_errors(false)
         .event_format(Line)
         .finish();
     // Failing means that this process has a subscriber already: a test's.

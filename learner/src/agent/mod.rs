@@ -149,6 +149,11 @@ impl Agent {
             || reached(self.settings.env_steps, self.counters.env_steps)
     }
 
+    /// The actors have taken steps that the agent will never see: it cannot go on with them.
+    pub fn cut(&mut self) {
+        self.cut_short = true;
+    }
+
     /// Whether transitions have been dropped because the run had reached its limits: it cannot go on then.
     pub fn cut_short(&self) -> bool {
         self.cut_short

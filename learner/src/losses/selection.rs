@@ -51,8 +51,8 @@ impl Confidence {
     /// the sample: no gradient flows through it. A NaN in a value gives 0.
     pub fn weight(&self, kind: MentorKind, q_m: f32, q_m_of_a_o: f32, trained: u64, e_kl: f32) -> f32 {
         let difference = f64::from(q_m) - f64::from(q_m_of_a_o);
-        let better = 1.0 / (1.0 + (-self.beta * difference).exp());
-        let known = (trained.min(self.c_max) as f64).ln_1p() / (self.c_max as f64).ln_1p();
+        let better = 1.0 / (1.0 + libm::exp(-self.beta * difference));
+        let known = libm::log1p(trained.min(self.c_max) as f64) / libm::log1p(self.c_max as f64);
         let phi = match kind {
             MentorKind::Feasible => (better * known).min((1.0 - f64::from(e_kl) / self.e_max).max(0.0)),
             MentorKind::Bridged => better * known,

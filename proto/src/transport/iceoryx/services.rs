@@ -153,7 +153,13 @@ impl Services {
     }
 
     /// Opens every service of `plan`'s run.
+    ///
+    /// # Errors
+    /// There is no supervisor that holds them: to join such a run would leave files that nobody removes.
     pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        if !domain.is_alive() {
+            return Err(failed("joining the run")("it is not in progress"));
+        }
         Self::build(domain, plan, false)
     }
 
