@@ -2,6 +2,7 @@
 //! replies, the mentor-server's answers and refusals.
 #![allow(clippy::unwrap_used)]
 
+use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::Duration;
 use trestle_proto::NONE;
@@ -114,12 +115,14 @@ impl MentorHandler for Canned {
     }
 }
 
-fn mentor(mut link: impl MentorLink, requests: usize) {
+/// Answers `requests` requests, and leaves when the clients have all their answers: when the other end of `over` goes.
+fn mentor(mut link: impl MentorLink, requests: usize, over: Receiver<()>) {
     link.hello(&mut Canned, &|| false).unwrap();
     let mut answered = 0;
     while answered < requests {
         answered += link.serve(&mut Canned, LONG).unwrap();
     }
+    assert!(over.recv().is_err(), "nothing is ever sent");
 }
 
 fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
@@ -201,7 +204,8 @@ fn channels() {
         for (index, link) in actors.into_iter().enumerate() {
             scope.spawn(move || act(link, index as u32));
         }
-        scope.spawn(move || mentor(server, REQUESTS));
+        let (_serving, over) = channel();
+        scope.spawn(move || mentor(server, REQUESTS, over));
         learn(learner, &plan);
     });
 }
@@ -218,7 +222,8 @@ fn shared_memory() {
             scope.spawn(move || act(IceoryxActor::new(domain, plan, index).unwrap(), index));
         }
         let (domain, plan) = (&domain, &plan);
-        scope.spawn(move || mentor(IceoryxMentor::new(domain, plan).unwrap(), REQUESTS + 1));
+        let (_serving, over) = channel();
+        scope.spawn(move || mentor(IceoryxMentor::new(domain, plan).unwrap(), REQUESTS + 1, over));
         learn(IceoryxLearner::new(domain, plan).unwrap(), plan);
         let client = QueryClient::new(domain, plan).unwrap();
         let similar = QueryRequest { op: SIMILAR, count: 1, obs_dim: 2, ..Default::default() };
