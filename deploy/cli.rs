@@ -72,7 +72,7 @@ pub(crate) struct Train {
     /// Number of actor processes [run.actors]
     #[arg(long, value_name = "N")]
     pub(crate) actors: Option<u32>,
-    /// The run's directory; runs/<config>-<algo>-seed<N> if not given
+    /// The run's directory; runs/CONFIG-ALGO-seedN if not given
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Go on from the newest complete checkpoint in the directory
