@@ -161,7 +161,7 @@ pub(crate) struct Role {
     /// The run's directory, prepared by `trestle train`
     #[arg(long, value_name = "DIR")]
     pub(crate) run: PathBuf,
-    /// Leave when standard input is closed
+    /// Leave when standard input is closed; give signs of life there if it is a socket
     #[arg(long)]
     pub(crate) watch_stdin: bool,
 }

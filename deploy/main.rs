@@ -8,6 +8,7 @@ mod build_info;
 mod cli;
 mod commands;
 mod reference;
+mod status;
 mod supervise;
 
 use clap::Parser;

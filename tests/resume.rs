@@ -43,7 +43,8 @@ fn survives(more: &[&str]) {
     run.signal(Signal::SIGKILL);
     run.finish();
     wait_until_gone(&dir, LIMIT);
-    let mut run = start(&place.training("kill", &[&args[..], &["--resume"]].concat()));
+    let more = ["--resume", "--set", "supervise.restarts=0"];
+    let mut run = start(&place.training("kill", &[&args[..], &more].concat()));
     let before = newest_checkpoint(&dir).unwrap();
     run.wait_for("another checkpoint", || newest_checkpoint(&dir) > Some(before));
     send(process(dir.root(), "mentor-server").unwrap(), Signal::SIGKILL);

@@ -14,7 +14,8 @@ const ENDLESS: [&str; 5] = ["maze-small", "--env-steps", "1000000000", "--episod
 
 /// Starts an endless run of two actors and waits until it is well under way.
 fn under_way(place: &Place) -> (Process, RunDir) {
-    let mut run = start(&place.training("run", &[&ENDLESS[..], &["--actors", "2"]].concat()));
+    let args = [&ENDLESS[..], &["--actors", "2", "--set", "supervise.restarts=0"]].concat();
+    let mut run = start(&place.training("run", &args));
     let dir = place.run("run");
     run.wait_for("three evaluations", || evaluations(&dir) >= 3);
     assert_eq!(processes(dir.root()).len(), 5, "supervisor, learner, mentor-server, two actors");
@@ -152,12 +153,13 @@ fn children_do_not_outlive_a_supervisor_killed_at_any_moment_of_the_start() {
 }
 
 #[test]
-fn a_killed_child_ends_the_run() {
+fn a_killed_child_ends_a_run_without_restarts() {
     let place = Place::new();
     for role in ["actor-1", "learner", "mentor-server"] {
         let (run, dir) = under_way(&place);
         send(process(dir.root(), role).unwrap(), Signal::SIGKILL);
-        let outcome = run.finish().refused(&[role, "signal: 9", "the end of its log"]);
+        let outcome =
+            run.finish().refused(&[role, "signal: 9", "supervise.restarts = 0", "the end of its log"]);
         let log = fs::read_to_string(dir.log(role)).unwrap();
         assert!(outcome.stderr.contains(log.lines().last().unwrap()), "{outcome:?}");
         assert_gone(&dir);
@@ -170,7 +172,8 @@ fn a_killed_child_ends_the_run() {
 fn a_child_that_fails_while_the_run_starts_is_named() {
     let place = Place::new();
     for role in ["learner", "mentor-server", "actor-0"] {
-        let mut run = start(&place.training(role, &ENDLESS));
+        let args = [&ENDLESS[..], &["--set", "supervise.restarts=0"]].concat();
+        let mut run = start(&place.training(role, &args));
         let dir = place.run(role);
         run.wait_for(role, || process(dir.root(), role).is_some());
         let domain = domain(&dir);

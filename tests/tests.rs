@@ -10,6 +10,7 @@ mod concurrency;
 mod determinism;
 mod doctor;
 mod errors;
+mod faults;
 mod host;
 mod query;
 mod resume;

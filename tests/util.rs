@@ -337,7 +337,7 @@ pub(crate) struct Trace {
 
 impl Trace {
     pub(crate) fn of(dir: &RunDir) -> Self {
-        let result = RunResult { wall_s: 0.0, ..result(dir) };
+        let result = RunResult { wall_s: 0.0, restarts: 0, ..result(dir) };
         let evals = fs::read_to_string(dir.evals()).unwrap();
         let without_wall = |line: &str| {
             let mut fields: Vec<String> = line.split(',').map(String::from).collect();

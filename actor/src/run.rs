@@ -4,10 +4,10 @@ use crate::worker::{ActorError, Worker};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::limits::WAIT_SLICE;
-use trestle_proto::logging;
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply, ReplyHeader};
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 use trestle_proto::transport::{ActorLink, LinkError, Stop};
+use trestle_proto::{logging, pulse};
 
 /// What ends an actor's process before the learner says so.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +47,7 @@ pub fn run(
     let mut params = vec![0.0; worker.n_params()];
     let mut batch = Batch::with_capacity(rollout, worker.obs_dim());
     while !stop() {
+        pulse::step();
         let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
         logging::set_tick(tick.tick);
         match tick.kind {

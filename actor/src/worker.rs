@@ -8,6 +8,7 @@ use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config;
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::pulse;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
@@ -191,6 +192,7 @@ impl Worker {
             let epsilon = schedule::epsilon(&self.exploration, before.saturating_add(u64::from(s)));
             let action = self.policy.act(params, &self.obs, epsilon, &mut self.explore);
             let step = self.env.step(action, &mut self.next_obs)?;
+            pulse::step();
             let flags = if self.first { FIRST } else { 0 }
                 | if step.terminated { TERMINATED } else { 0 }
                 | if step.truncated { TRUNCATED } else { 0 };
@@ -251,6 +253,7 @@ impl Worker {
         while success.is_none() {
             let action = self.policy.greedy(params, &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
+            pulse::step();
             total_reward += f64::from(step.reward);
             length += 1;
             whole = record(&self.evaluation_obs);

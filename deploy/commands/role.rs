@@ -2,8 +2,12 @@
 //! services a supervisor holds.
 
 use crate::cli::{ActorRole, Role};
+use crate::output::say;
+use crate::status::{LOST_PEER, ORPHANED, TOLD};
 use anyhow::{Context, Result};
-use std::io::{Read, Write, stdin, stdout};
+use std::io::{self, ErrorKind, Read, Write, stdin, stdout};
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 use std::sync::Arc;
@@ -14,16 +18,12 @@ use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
 use trestle_mentor_server::demo_file;
-use trestle_proto::logging;
+use trestle_proto::limits::BEAT;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
+use trestle_proto::transport::LinkError;
 use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxLearner, IceoryxMentor};
-
-/// Exit status of a process whose supervisor is gone.
-const ORPHANED: i32 = 3;
-/// Exit status of a process that was told to leave, as shells have it: 128 + SIGTERM. It is what a mentor-server ends
-/// with; before the learner's end it is a failure of the run.
-const TOLD: u8 = 143;
+use trestle_proto::{logging, pulse};
 
 /// What every role begins with.
 struct Start {
@@ -59,26 +59,56 @@ impl Start {
     }
 }
 
-/// Waits until standard input is closed, which only the end of the supervisor does; then removes what the run
-/// shared, in its stead, and ends this process.
+/// Gives signs of life on standard input, where that is a socket, until it is closed, which only the end of the
+/// supervisor does; then removes what the run shared, in its stead, and ends this process.
+///
+/// This thread shows that the process is run at all, and says of the others whether they get ahead: a gradient phase
+/// may take as long as it likes.
 ///
 /// The removal is done by this program begun anew in this process ([`orphaned`]): that ends all other threads, which
 /// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
 fn leave_with_supervisor(domain: &Domain) {
-    let mut byte = [0];
-    // Nothing is ever written: an answer, whichever, is the end.
-    while matches!(stdin().read(&mut byte), Ok(1)) {}
+    if let Err(error) = beat_until_closed() {
+        tracing::error!("standard input: {error}");
+    }
     tracing::error!("the supervisor is gone: leaving");
     let program = std::env::current_exe().unwrap_or_else(|_| "/proc/self/exe".into());
     let error = Command::new(program).arg("orphaned").arg(domain.run().to_string()).exec();
     tracing::error!("cannot begin anew: {error}");
-    std::process::exit(ORPHANED);
+    std::process::exit(ORPHANED.into());
+}
+
+fn beat_until_closed() -> io::Result<()> {
+    let mut line = UnixStream::from(stdin().as_fd().try_clone_to_owned()?);
+    // A pipe has no timeouts: then nobody wants signs of life.
+    if line.set_read_timeout(Some(BEAT)).and_then(|()| line.set_write_timeout(Some(BEAT))).is_err() {
+        let mut byte = [0];
+        while stdin().read(&mut byte)? > 0 {}
+        return Ok(());
+    }
+    let (mut byte, mut seen) = ([0], 0);
+    loop {
+        match line.read(&mut byte) {
+            Ok(0) => return Ok(()),
+            Ok(_) => {}
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                let steps = pulse::steps();
+                // A supervisor that does not read is stopped itself; one that is gone is noticed by the next read.
+                let _ = line.write(&[if steps == seen { pulse::IDLE } else { pulse::BUSY }]);
+                seen = steps;
+            }
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            // The supervisor went before it had read all.
+            Err(error) if error.kind() == ErrorKind::ConnectionReset => return Ok(()),
+            Err(error) => return Err(error),
+        }
+    }
 }
 
 /// `trestle orphaned`: the end of a process whose supervisor is gone.
 pub(super) fn orphaned(run: u64) -> Result<ExitCode> {
     Domain::of(run).remove()?;
-    Ok(ExitCode::from(ORPHANED as u8))
+    Ok(ExitCode::from(ORPHANED))
 }
 
 pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
@@ -91,9 +121,11 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
     }
     let mut link = IceoryxActor::new(&start.domain, &start.plan, args.index)?;
     let rollout = start.plan.config.run.rollout as usize;
-    match trestle_actor::run::run(&mut link, &mut worker, rollout, &start.stop())? {
-        Left::Stopped => Ok(ExitCode::SUCCESS),
-        Left::Told => Ok(ExitCode::from(TOLD)),
+    match trestle_actor::run::run(&mut link, &mut worker, rollout, &start.stop()) {
+        Ok(Left::Stopped) => Ok(ExitCode::SUCCESS),
+        Ok(Left::Told) => Ok(ExitCode::from(TOLD)),
+        Err(trestle_actor::run::RunError::Link(error)) => unlinked(error),
+        Err(error) => Err(error.into()),
     }
 }
 
@@ -106,8 +138,11 @@ pub(super) fn learner(args: &Role) -> Result<ExitCode> {
             let _ = writeln!(stdout().lock(), "{line}");
         }
     };
-    trestle_learner::run::run(&mut link, &start.plan, &start.dir, &start.stop(), progress)?;
-    Ok(ExitCode::SUCCESS)
+    match trestle_learner::run::run(&mut link, &start.plan, &start.dir, &start.stop(), progress) {
+        Ok(_) => Ok(ExitCode::SUCCESS),
+        Err(trestle_learner::run::RunError::Link(error)) => unlinked(error),
+        Err(error) => Err(error.into()),
+    }
 }
 
 pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
@@ -115,6 +150,17 @@ pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
     let demonstration = demo_file::read(&start.dir.demonstration())?;
     let mut mentor = trestle_mentor_server::run::mentor_of(&start.plan, &demonstration)?;
     let mut link = IceoryxMentor::new(&start.domain, &start.plan)?;
-    trestle_mentor_server::run::run(&mut link, &start.plan, &mut mentor, &start.stop())?;
-    Ok(ExitCode::from(TOLD))
+    match trestle_mentor_server::run::run(&mut link, &start.plan, &mut mentor, &start.stop()) {
+        Ok(()) => Ok(ExitCode::from(TOLD)),
+        Err(error) => unlinked(error),
+    }
+}
+
+/// The end of a process whose link to the others failed: their fault, where they are gone.
+fn unlinked(error: LinkError) -> Result<ExitCode> {
+    if !error.is_lost_peer() {
+        return Err(error.into());
+    }
+    say(&format!("error: {error}"));
+    Ok(ExitCode::from(LOST_PEER))
 }

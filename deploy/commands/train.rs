@@ -2,6 +2,7 @@
 
 use crate::cli::{Algo, Mode, Train};
 use crate::reference;
+use crate::status::INTERRUPTED;
 use crate::supervise::{self, Ended, HeldSignals, prepare};
 use anyhow::Result;
 use prepare::Existing;
@@ -11,9 +12,7 @@ use std::process::ExitCode;
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
 use trestle_proto::logging;
-
-/// Exit status after Ctrl-C, as shells have it: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
+use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
@@ -52,6 +51,8 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
                     config::Mode::Lockstep => "interrupted; go on with the same command and --resume",
                     config::Mode::Reference => "interrupted; a run in one process cannot be resumed",
                 });
+            } else if RunDir::new(&root).last().exists() {
+                crate::output::say("interrupted; the newest checkpoint is what --resume goes on from");
             } else {
                 crate::output::say("interrupted before anything was saved");
             }

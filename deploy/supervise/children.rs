@@ -1,19 +1,22 @@
 //! The processes of a run: this program again, with another subcommand.
 //!
-//! A child's standard error goes to its log. Its standard input is a pipe that only the supervisor holds: when the
-//! supervisor is gone, however it went, the child reads its end and leaves. Children have process groups of their
-//! own, so that Ctrl-C reaches the supervisor alone.
+//! A child's standard error goes to its log. Its standard input is a socket whose other end only the supervisor holds:
+//! when the supervisor is gone, however it went, the child reads its end and leaves. The child gives its signs of life
+//! there. Children have process groups of their own, so that Ctrl-C reaches the supervisor alone.
 
 use super::Event;
+use super::line::{Fault, Line};
 use super::prepare::Prepared;
+use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fmt;
 use std::fs::{self, OpenOptions};
+use std::os::fd::OwnedFd;
 use std::process::{ExitStatus, Stdio};
 use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{self, ChildStdin, ChildStdout, Command};
+use tokio::process::{self, ChildStdout, Command};
 use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
 use trestle_proto::rundir::RunDir;
@@ -39,14 +42,64 @@ impl fmt::Display for Role {
     }
 }
 
+/// How a process came to be of no use any more.
+#[derive(Clone, Debug)]
+pub(super) enum How {
+    /// It ended by itself or was killed.
+    Exited(ExitStatus),
+    /// It is there, but nothing comes of it any more.
+    Lingering(Fault),
+}
+
+/// The end of a process before that of its run.
+#[derive(Clone, Debug)]
+pub(super) struct Death {
+    pub(super) role: Role,
+    pub(super) how: How,
+    /// The last line of its log.
+    pub(super) last_words: String,
+}
+
+impl Death {
+    pub(super) fn new(dir: &RunDir, role: Role, how: How) -> Self {
+        let last_words = log_tail(dir, role).lines().last().unwrap_or_default().into();
+        Self { role, how, last_words }
+    }
+
+    /// Whether it is only the consequence of another death.
+    pub(super) fn is_consequence(&self) -> bool {
+        matches!(self.how, How::Exited(status) if status.code() == Some(i32::from(LOST_PEER)))
+    }
+
+    /// What the process itself reported as the reason, if it did.
+    pub(super) fn reported(&self) -> Option<String> {
+        let How::Exited(status) = self.how else { return None };
+        let code = status.code().filter(|_| !self.is_consequence())?;
+        Some(format!("{} {code} {}", self.role, self.last_words))
+    }
+}
+
+impl fmt::Display for Death {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.how {
+            How::Exited(status) => write!(f, "{} ended with {status}", self.role),
+            How::Lingering(Fault::Silent(s)) => {
+                write!(f, "{} gave no sign of life for {s} s (supervise.silence_s)", self.role)
+            }
+            How::Lingering(Fault::Stalled(s)) => {
+                write!(f, "{} did not get ahead for {s} s (supervise.stall_s)", self.role)
+            }
+        }
+    }
+}
+
 /// A child that has been started.
 pub(super) struct Child {
     pub(super) role: Role,
     pub(super) running: bool,
     /// To the task that waits for the process.
     signals: mpsc::UnboundedSender<Signal>,
-    /// Closing it tells the child that its supervisor is gone.
-    _stdin: Option<ChildStdin>,
+    pub(super) line: Line,
 }
 
 impl Child {
@@ -105,11 +158,15 @@ fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child
     // candle asks for the number of threads at every product, and takes all cores if it is not told; a run's
     // processes have one working thread each.
     command.env("RAYON_NUM_THREADS", "1");
-    command.stdin(Stdio::piped()).stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
+    let (line, theirs) = Line::new().context("cannot make a socket")?;
+    command.stdin(Stdio::from(OwnedFd::from(theirs)));
+    command.stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
     let learner = role == Role::Learner;
     command.stdout(if learner { Stdio::piped() } else { Stdio::null() });
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
-    let (stdin, stdout) = (process.stdin.take(), process.stdout.take());
+    // So that the child alone holds its end.
+    drop(command);
+    let stdout = process.stdout.take();
     let (signals, orders) = mpsc::unbounded_channel();
     let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
@@ -122,7 +179,7 @@ fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child
         // A supervisor that no longer listens is itself on its way out.
         let _ = events.send(Event::Exited(role, status)).await;
     });
-    Ok(Child { role, running: true, signals, _stdin: stdin })
+    Ok(Child { role, running: true, signals, line })
 }
 
 /// Waits for `process` and sends it the signals that are ordered meanwhile: never after it has been waited for, when its

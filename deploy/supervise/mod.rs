@@ -1,6 +1,10 @@
 //! One run: services held, children started and reaped, progress shown, everything cleaned up.
 //!
+//! A run is one attempt after the other: when a process dies, the others are stopped, and all are started again from
+//! the newest complete checkpoint, under a new identity and with new services, as if the run were resumed by hand.
+//!
 //! - [`prepare`]: from a configuration to a run directory and its plan, or a refusal with nothing left behind;
+//! - `restarts`: whether there is another attempt;
 //! - `children`: the processes;
 //! - `display`: what the user sees meanwhile;
 //! - `hold`: what the run keeps to itself.
@@ -8,18 +12,24 @@
 mod children;
 pub(crate) mod display;
 mod hold;
+mod line;
 pub(crate) mod prepare;
+mod restarts;
 
-use anyhow::{Context, Result, bail};
-use children::{Child, Role, log_tail};
+use anyhow::{Context, Error, Result, anyhow};
+use children::{Child, Death, How, Role, log_tail};
 use display::Display;
 pub(crate) use hold::HeldSignals;
 use prepare::Prepared;
+use restarts::{Restarts, Verdict};
+use std::ops::ControlFlow;
 use std::process::ExitStatus;
+use std::time::Instant;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
+use tokio::time::MissedTickBehavior;
 use trestle_learner::record::{Progress, RunResult};
-use trestle_proto::limits::{GRACE, REAP};
+use trestle_proto::limits::{BEAT, BLAME, GRACE, REAP};
 use trestle_proto::transport::iceoryx::{Domain, Services};
 
 /// How a run ended.
@@ -47,18 +57,66 @@ pub(crate) fn run(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<
     runtime.block_on(supervise(prepared, held, quiet))
 }
 
-async fn supervise(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
+async fn supervise(mut prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let mut signals = Signals::new()?;
     drop(held);
+    let display = Display::new(prepared.plan(), quiet);
+    let outcome = attempts(&mut prepared, &mut signals, &display).await;
+    display.finish();
+    outcome
+}
+
+/// Starts the run, and again after each death for as long as that promises anything.
+async fn attempts(prepared: &mut Prepared, signals: &mut Signals, display: &Display) -> Result<Ended> {
+    let plan = prepared.plan();
+    let mut restarts = Restarts::new(plan.config.supervise.restarts, plan.resume_tick);
+    loop {
+        let death = match attempt(prepared, signals, display).await? {
+            ControlFlow::Break(ended) => return Ok(ended),
+            ControlFlow::Continue(death) => death,
+        };
+        let newest = match prepared.newest_checkpoint() {
+            Ok(newest) => newest,
+            Err(error) => return Err(final_error(prepared, &death, &format!("{error:#}"))),
+        };
+        let pause = match restarts.after(&death, newest, Instant::now()) {
+            Verdict::Again(pause) => pause,
+            Verdict::End(reason) => return Err(final_error(prepared, &death, &reason)),
+        };
+        let from = newest.map_or("the beginning".into(), |tick| format!("the checkpoint of tick {tick}"));
+        let said = format!("{death}; starting all processes again from {from}");
+        display.say(&said);
+        prepared.note(&said);
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = signals.any() => return Ok(Ended::Interrupted(None)),
+        }
+        if let Err(error) = prepared.restart_from(newest) {
+            return Err(final_error(prepared, &death, &format!("{error:#}")));
+        }
+    }
+}
+
+/// The end of a run that is not started again after `death`.
+fn final_error(prepared: &Prepared, death: &Death, reason: &str) -> Error {
+    prepared.note(&format!("{death}; not started again: {reason}"));
+    let tail = log_tail(prepared.dir(), death.role);
+    anyhow!("{death}; not started again: {reason}; the end of its log:\n{tail}")
+}
+
+/// All processes once: until the run's end, or the first death, after which the run may continue.
+async fn attempt(
+    prepared: &Prepared,
+    signals: &mut Signals,
+    display: &Display,
+) -> Result<ControlFlow<Ended, Death>> {
     let cleanup = Cleanup(prepared.create_domain()?);
     let services = Services::create(&cleanup.0, prepared.plan()).context(
         "cannot create the run's services (`trestle doctor` looks at shared memory and open files)",
     )?;
-    let display = Display::new(prepared.plan(), quiet);
     let (events, mut inbox) = mpsc::channel(64);
-    let mut children = children::start_all(&prepared, &events)?;
-    let outcome = watch(&mut children, &mut inbox, &mut signals, &display, &prepared, &services).await;
-    display.finish();
+    let mut children = children::start_all(prepared, &events)?;
+    let outcome = watch(&mut children, &mut inbox, signals, display, prepared, &services).await;
     stop_all(&mut children, &mut inbox).await;
     drop(services);
     drop(cleanup);
@@ -102,7 +160,7 @@ impl Signals {
     }
 }
 
-/// Waits until the learner has left, a child has failed, or the user has interrupted twice.
+/// Waits until the learner has left, a child has died, or the user has interrupted twice.
 async fn watch(
     children: &mut [Child],
     inbox: &mut mpsc::Receiver<Event>,
@@ -110,20 +168,40 @@ async fn watch(
     display: &Display,
     prepared: &Prepared,
     services: &Services,
-) -> Result<Ended> {
+) -> Result<ControlFlow<Ended, Death>> {
     let (mut interrupted, mut began) = (false, false);
-    let mut reap = tokio::time::interval_at(tokio::time::Instant::now() + REAP, REAP);
-    loop {
+    let now = tokio::time::Instant::now();
+    let mut reap = tokio::time::interval_at(now + REAP, REAP);
+    let mut beat = tokio::time::interval_at(now + BEAT, BEAT);
+    // Beats that this process has missed are nobody's silence.
+    beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // The end of a process that has lost another, which is to blame and whose end may not have been noticed yet.
+    let mut consequence: Option<Death> = None;
+    let blame = tokio::time::sleep(BLAME);
+    tokio::pin!(blame);
+    let death = loop {
         tokio::select! {
             _ = reap.tick() => services.reap(),
+            _ = beat.tick() => {
+                let deadlines = &prepared.plan().config.supervise;
+                let mut living = children.iter_mut().filter(|c| c.running);
+                if let Some((role, how)) = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c.role, How::Lingering(fault)))) {
+                    break Death::new(prepared.dir(), role, how);
+                }
+            }
             () = signals.any() => {
                 if interrupted {
                     tracing::warn!("interrupted twice: stopping at once");
-                    return Ok(Ended::Interrupted(None));
+                    return Ok(ControlFlow::Break(Ended::Interrupted(None)));
                 }
                 interrupted = true;
                 display.say("interrupted: finishing the tick and saving; once more to stop at once");
                 children.iter().filter(|c| c.role == Role::Learner).for_each(Child::terminate);
+            }
+            () = &mut blame, if consequence.is_some() => {
+                if let Some(death) = consequence.take() {
+                    break death;
+                }
             }
             event = inbox.recv() => match event {
                 Some(Event::Progress(progress)) => {
@@ -138,27 +216,37 @@ async fn watch(
                         child.running = false;
                     }
                     let status = status.with_context(|| format!("cannot wait for {role}"))?;
-                    match (role, status.success()) {
-                        (Role::Learner, true) => {
-                            let result = prepared.read_result()?;
-                            return Ok(if result.interrupted {
-                                Ended::Interrupted(Some(result))
-                            } else {
-                                Ended::Complete(result)
-                            });
+                    if status.success() {
+                        if role == Role::Learner {
+                            return Ok(ControlFlow::Break(ended(prepared)?));
                         }
-                        (_, true) => {}
-                        (_, false) if interrupted && !began => return Ok(Ended::Interrupted(None)),
-                        (_, false) => {
-                            let tail = log_tail(prepared.dir(), role);
-                            bail!("{role} ended with {status}; the end of its log:\n{tail}");
-                        }
+                        continue;
+                    }
+                    let death = Death::new(prepared.dir(), role, How::Exited(status));
+                    if !death.is_consequence() {
+                        break death;
+                    }
+                    if consequence.is_none() {
+                        consequence = Some(death);
+                        blame.as_mut().reset(tokio::time::Instant::now() + BLAME);
                     }
                 }
-                None => bail!("all processes of the run are gone without a result"),
+                // The other end is held by the caller.
+                None => return Err(anyhow!("all processes of the run are gone without a result")),
             }
         }
+    };
+    match interrupted {
+        true if !began => Ok(ControlFlow::Break(Ended::Interrupted(None))),
+        true => Err(final_error(prepared, &death, "the run was interrupted")),
+        false => Ok(ControlFlow::Continue(death)),
     }
+}
+
+/// How the run ended whose learner has left.
+fn ended(prepared: &Prepared) -> Result<Ended> {
+    let result = prepared.read_result()?;
+    Ok(if result.interrupted { Ended::Interrupted(Some(result)) } else { Ended::Complete(result) })
 }
 
 /// Asks what still runs to leave, once the learner has left of itself, and ends what does not. No child outlives this.

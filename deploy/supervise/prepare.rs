@@ -9,7 +9,8 @@ use anyhow::{Context, Result, bail, ensure};
 use nix::fcntl::Flock;
 use nix::sys::statvfs::statvfs;
 use std::cell::Cell;
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
@@ -80,6 +81,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     let mut own = config::parse_toml(&path.display().to_string(), &text)?;
     own.run.episodes = typed.run.episodes;
     own.run.env_steps = typed.run.env_steps;
+    own.supervise = typed.supervise.clone();
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
     typed.env.layout.clone_from(&own.env.layout);
@@ -92,7 +94,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
             "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes and run.env_steps",
+             run.episodes, run.env_steps and what is in [supervise]",
             root.display()
         );
     }
@@ -175,6 +177,7 @@ impl Resolved {
             spec: self.spec.clone(),
             mentor_len: self.demonstration.as_ref().map_or(0, Demonstration::n_transitions),
             resume_tick,
+            restarts: 0,
         }
     }
 
@@ -207,7 +210,11 @@ impl Resolved {
                 .with_context(|| format!("cannot find {}", dir.demonstration().display()))?;
             self.config.mentor.demo = copy.display().to_string();
         }
-        let plan = self.plan(new_identity(), resume_tick);
+        let mut plan = self.plan(new_identity(), resume_tick);
+        if resume_tick.is_some() {
+            // A plan that cannot be read any more is not needed to go on.
+            plan.restarts = dir.read_plan().map_or(0, |before| before.restarts);
+        }
         if self.config.run.mode == Mode::Lockstep {
             check_shared_memory(Sizes::of(&plan).shared_memory_bytes())?;
         }
@@ -240,7 +247,7 @@ impl Resolved {
                 result.env_steps
             );
         }
-        match checkpoint::newest_resumable(dir.root())? {
+        match checkpoint::newest_resumable(dir.root(), &self.plan(0, None))? {
             Some((tick, _)) => Ok(tick),
             None => bail!("--resume: {root} holds no checkpoint to go on from"),
         }
@@ -272,6 +279,34 @@ impl Prepared {
             Some(aside) if aside.exists() => fs::remove_dir_all(aside)
                 .with_context(|| format!("cannot remove the replaced run in {}", aside.display())),
             _ => Ok(()),
+        }
+    }
+
+    /// The tick of the newest checkpoint that the run can go on from, if there is one.
+    pub(super) fn newest_checkpoint(&self) -> Result<Option<u64>> {
+        Ok(checkpoint::newest_resumable(self.dir.root(), &self.plan)?.map(|(tick, _)| tick))
+    }
+
+    /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
+    /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
+    pub(super) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
+        self.plan.resume_tick = tick;
+        self.plan.run = new_identity();
+        self.plan.restarts += 1;
+        Ok(write_atomically(&self.dir.plan(), &self.plan.encode()?)?)
+    }
+
+    /// Adds a line to the supervisor's log.
+    pub(super) fn note(&self, text: &str) {
+        let path = self.dir.log("supervisor");
+        let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+        let written = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .and_then(|mut file| writeln!(file, "{seconds} {text}"));
+        if let Err(error) = written {
+            tracing::warn!("cannot write {}: {error}", path.display());
         }
     }
 

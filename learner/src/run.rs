@@ -14,8 +14,7 @@ use std::time::Instant;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
-use trestle_proto::limits::{MAX_QUERY_ROWS, SILENCE, WAIT_SLICE};
-use trestle_proto::logging;
+use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
 use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
 use trestle_proto::plan::RunPlan;
@@ -23,6 +22,7 @@ use trestle_proto::query::{QueryRequest, TRANSITIONS};
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply};
 use trestle_proto::rundir::RunDir;
 use trestle_proto::transport::{FromActor, LearnerLink, LinkError, Stop};
+use trestle_proto::{logging, pulse};
 
 /// What ends the learner's process early.
 #[derive(Debug, thiserror::Error)]
@@ -106,6 +106,12 @@ impl<L: LearnerLink> Lockstep<'_, L> {
     fn run(mut self) -> Result<RunResult, RunError> {
         let lag = u64::from(self.plan.config.run.lag);
         let mut tick = self.session.tick();
+        if self.session.done() {
+            // The checkpoint is the run's last one; only the result is missing.
+            self.session.start();
+            self.link.send_tick(&self.session.stop())?;
+            return Ok(self.session.finish(false)?);
+        }
         self.begin(tick, lag)?;
         loop {
             tick += 1;
@@ -175,22 +181,15 @@ impl<L: LearnerLink> Lockstep<'_, L> {
         Ok(())
     }
 
-    /// Waits for the next message and puts it where it belongs. The supervisor notices when a process dies; here it is
-    /// noticed when all have fallen silent.
+    /// Waits for the next message and puts it where it belongs. It is the supervisor that notices when a process dies or
+    /// hangs, and then ends this one.
     fn next(&mut self) -> Result<(), RunError> {
         let start = Instant::now();
         let message = loop {
             if let Some(message) = self.link.recv(&mut self.batches, WAIT_SLICE)? {
                 break message;
             }
-            if start.elapsed() > SILENCE {
-                return Err(LinkError::Deadline {
-                    peer: "actors".into(),
-                    what: "a batch, an evaluation or a snapshot",
-                    waited_ms: SILENCE.as_millis(),
-                }
-                .into());
-            }
+            pulse::step();
         };
         self.session.waited(start.elapsed());
         match message {
@@ -311,6 +310,7 @@ fn rebuild_mentor(
         let count = replay.fill_batch(index, plan.config.run.rollout as usize, &mut batch);
         let request = request(plan, tick, index, REBUILD, batch.header.actor, count);
         link.observe(&request, batch.payload(), &mut observed)?;
+        pulse::step();
         index += count as u64;
     }
     let records = agent.annotation_records();

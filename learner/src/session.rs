@@ -305,7 +305,8 @@ impl<'a> Session<'a> {
     pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
         self.show_progress();
         let gauges = self.gauges();
-        let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts: 0, interrupted };
+        let restarts = self.plan.restarts;
+        let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted };
         Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
     }
 

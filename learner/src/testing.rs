@@ -40,7 +40,7 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         best_return: None,
     };
     let mentor_len = if config.run.algo.has_mentor() { MENTOR_LEN } else { 0 };
-    RunPlan { run: 1, config, spec, mentor_len, resume_tick: None }
+    RunPlan { run: 1, config, spec, mentor_len, resume_tick: None, restarts: 0 }
 }
 
 /// The demonstration of [`plan`]; none for `dqn`.

@@ -5,7 +5,6 @@ use crate::mentor::{Mentor, MentorError};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
-use trestle_proto::logging;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, REBUILD, RESTORE};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{
@@ -13,6 +12,7 @@ use trestle_proto::query::{
     UNKNOWN_OP,
 };
 use trestle_proto::transport::{LinkError, MentorHandler, MentorLink, Stop};
+use trestle_proto::{logging, pulse};
 
 /// The mentor of `plan`'s run, of its demonstration.
 ///
@@ -44,6 +44,7 @@ pub fn run(
     link.hello(&mut server, stop)?;
     tracing::info!("ready");
     while !stop() {
+        pulse::step();
         link.serve(&mut server, WAIT_SLICE)?;
     }
     tracing::info!("leaving");

@@ -13,6 +13,7 @@ pub mod logging;
 pub mod mentor;
 pub mod observe;
 pub mod plan;
+pub mod pulse;
 pub mod query;
 pub mod reply;
 pub mod rng;

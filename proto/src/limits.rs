@@ -46,10 +46,24 @@ pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);
 pub const BACKPRESSURE: Duration = Duration::from_secs(10);
 /// Longest sleep of a waiting process before it looks at its shutdown flag again.
 pub const WAIT_SLICE: Duration = Duration::from_millis(200);
-/// How long the learner waits for a message of any actor: longer than the slowest rollout, evaluation or snapshot.
-pub const SILENCE: Duration = Duration::from_secs(300);
 /// How long the supervisor waits for the other processes once the learner has left.
 pub const GRACE: Duration = Duration::from_secs(5);
+/// How often a process of a run gives a sign of life, and how often the supervisor looks for it.
+pub const BEAT: Duration = Duration::from_secs(1);
+/// Least seconds without a sign of life after which a process may count as dead: several beats.
+pub const MIN_DEADLINE_S: u32 = 3;
+/// Most such seconds.
+pub const MAX_DEADLINE_S: u32 = 86_400;
+/// How long the supervisor waits for the end of whoever is to blame when a process says that it has lost another.
+pub const BLAME: Duration = Duration::from_secs(1);
+/// Pause before the second restart of a run that does not get ahead; it doubles with each further one.
+pub const RESTART_BACKOFF: Duration = Duration::from_millis(250);
+/// Longest such pause.
+pub const RESTART_BACKOFF_MOST: Duration = Duration::from_secs(8);
+/// Time after which a restart no longer counts.
+pub const RESTART_WINDOW: Duration = Duration::from_secs(600);
+/// Most restarts without getting ahead that may be allowed (`supervise.restarts`).
+pub const MAX_RESTARTS: u32 = 1000;
 /// How long the learner waits for the mentor-server to take in one batch.
 pub const OBSERVE_DEADLINE: Duration = Duration::from_secs(30);
 /// How often the supervisor frees the places of clients of the mentor-server that have died.

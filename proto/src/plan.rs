@@ -21,6 +21,8 @@ pub struct RunPlan {
     pub mentor_len: usize,
     /// Checkpoint to go on from, as the number of its tick.
     pub resume_tick: Option<u64>,
+    /// How many times the run has been started again after the death of one of its processes.
+    pub restarts: u64,
 }
 
 impl RunPlan {

@@ -37,7 +37,7 @@ fn plan(run: u64) -> RunPlan {
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
     };
-    RunPlan { run, config, spec, mentor_len: MENTOR, resume_tick: None }
+    RunPlan { run, config, spec, mentor_len: MENTOR, resume_tick: None, restarts: 0 }
 }
 
 fn weights(version: u64) -> Vec<f32> {

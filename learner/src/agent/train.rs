@@ -2,6 +2,7 @@
 
 use super::{Agent, AgentError, Selection, TrainStats};
 use trestle_proto::config::TargetKind;
+use trestle_proto::pulse;
 use trestle_proto::schedule::gradient_steps_due;
 use trestle_qnet::clip_grad_norm;
 
@@ -66,6 +67,7 @@ impl Agent {
             TargetKind::Polyak => self.network.polyak_update(settings.tau)?,
         }
         stats.grad_steps += 1;
+        pulse::step();
         Ok(())
     }
 }

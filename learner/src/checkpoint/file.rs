@@ -5,6 +5,7 @@ use super::manifest::FileEntry;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::Path;
+use trestle_proto::pulse;
 
 /// Counts and checksums what passes through.
 #[derive(Debug)]
@@ -20,6 +21,7 @@ impl<F> Checked<F> {
     }
 
     fn note(&mut self, passed: &[u8]) {
+        pulse::step();
         self.bytes += passed.len() as u64;
         self.crc = crc32c::crc32c_append(self.crc, passed);
     }

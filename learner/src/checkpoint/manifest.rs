@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
-use trestle_proto::config::{Checkpoint, Eval, Mode};
+use trestle_proto::config::{Checkpoint, Eval, Mode, Supervise};
 use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
@@ -50,11 +50,12 @@ pub struct Manifest {
 
 /// Identifies what a checkpoint may be continued with: SHA-256 of the configuration, the spaces and the length of
 /// the demonstration. Left out is what does not change how the agent learns: the limits of the run, evaluations,
-/// checkpoints, and whether the processes are one or several.
+/// checkpoints, supervision, and whether the processes are one or several.
 pub fn fingerprint(plan: &RunPlan) -> String {
     let mut config = plan.config.clone();
     (config.run.episodes, config.run.env_steps, config.run.mode) = (None, None, Mode::Lockstep);
     (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
+    config.supervise = Supervise::default();
     let text = serde_json::json!([config, plan.spec, plan.mentor_len]).to_string();
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }

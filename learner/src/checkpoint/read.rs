@@ -39,10 +39,16 @@ pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, Checkpo
     newest(run_dir, |_| true)
 }
 
-/// As [`newest_complete`], of the checkpoints that a run can go on from: not the last one of a run that ended within
-/// a tick.
-pub fn newest_resumable(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
-    newest(run_dir, |manifest| !manifest.cut_short)
+/// As [`newest_complete`], of the checkpoints that `plan`'s run can go on from: not the last one of a run that ended
+/// within a tick, and none of another configuration, which is passed over with a warning.
+pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+    let own = fingerprint(plan);
+    newest(run_dir, |manifest| {
+        if manifest.configuration != own {
+            tracing::warn!("the checkpoint of tick {} is passed over: it is of another run", manifest.tick);
+        }
+        manifest.configuration == own && !manifest.cut_short
+    })
 }
 
 fn newest(

@@ -29,6 +29,8 @@ pub struct Config {
     pub eval: Eval,
     /// Checkpoints.
     pub checkpoint: Checkpoint,
+    /// What is done about processes that die or hang.
+    pub supervise: Supervise,
 }
 
 /// `[run]`
@@ -317,6 +319,18 @@ pub struct Checkpoint {
     pub keep: usize,
 }
 
+/// `[supervise]`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Supervise {
+    /// How often the run may be started again after the death of a process without getting ahead, 0 to 1000.
+    pub restarts: u32,
+    /// Seconds without a sign of life after which a process counts as dead, 3 to 86400; 0 for never.
+    pub silence_s: u32,
+    /// Seconds without progress in its work after which a process counts as dead, 3 to 86400; 0 for never.
+    pub stall_s: u32,
+}
+
 impl Default for Run {
     fn default() -> Self {
         Self {
@@ -403,6 +417,12 @@ impl Default for Mentor {
 impl Default for Eval {
     fn default() -> Self {
         Self { every: 5, episodes: 1, threshold: None, tolerance: 0.5 }
+    }
+}
+
+impl Default for Supervise {
+    fn default() -> Self {
+        Self { restarts: 5, silence_s: 10, stall_s: 300 }
     }
 }
 

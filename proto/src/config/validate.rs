@@ -1,7 +1,10 @@
 //! Ranges and combinations of settings that types do not exclude.
 
 use super::{Config, ConfigError, TargetKind};
-use crate::limits::{MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_REPLAY, MAX_ROLLOUT, MAX_SIZES, MAX_WIDTH};
+use crate::limits::{
+    MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT, MAX_SIZES,
+    MAX_WIDTH, MIN_DEADLINE_S,
+};
 use std::fmt::Display;
 use std::ops::RangeBounds;
 
@@ -42,7 +45,19 @@ impl Config {
         {
             return Err(refuse("eval.threshold", threshold, "a finite number"));
         }
-        within("checkpoint.keep", self.checkpoint.keep, 1..=1000, "1 to 1000")
+        within("checkpoint.keep", self.checkpoint.keep, 1..=1000, "1 to 1000")?;
+        self.validate_supervise()
+    }
+
+    fn validate_supervise(&self) -> Result<(), ConfigError> {
+        let s = &self.supervise;
+        within("supervise.restarts", s.restarts, 0..=MAX_RESTARTS, "0 to 1000")?;
+        for (key, seconds) in [("supervise.silence_s", s.silence_s), ("supervise.stall_s", s.stall_s)] {
+            if seconds > 0 {
+                within(key, seconds, MIN_DEADLINE_S..=MAX_DEADLINE_S, "3 to 86400, or 0 for never")?;
+            }
+        }
+        Ok(())
     }
 
     fn validate_run(&self) -> Result<(), ConfigError> {

@@ -84,6 +84,13 @@ pub enum LinkError {
     MentorTransitions(#[from] MentorTransitionsError),
 }
 
+impl LinkError {
+    /// Whether it says that another process is gone, or no longer answers: then that one is to blame.
+    pub fn is_lost_peer(&self) -> bool {
+        matches!(self, Self::Receivers { .. } | Self::Deadline { .. })
+    }
+}
+
 /// Tells a waiting process to leave.
 pub type Stop<'a> = &'a dyn Fn() -> bool;
 

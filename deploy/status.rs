@@ -1,0 +1,11 @@
+//! Exit statuses beyond success (0), failure (1) and wrong arguments (2).
+
+/// A process whose supervisor is gone.
+pub(crate) const ORPHANED: u8 = 3;
+/// A process that lost another one of its run: that one is to blame.
+pub(crate) const LOST_PEER: u8 = 4;
+/// A training that Ctrl-C ended, as shells have it: 128 + SIGINT.
+pub(crate) const INTERRUPTED: u8 = 130;
+/// A process that was told to leave, as shells have it: 128 + SIGTERM. It is what a mentor-server ends with; before the
+/// learner's end it is a failure of the run.
+pub(crate) const TOLD: u8 = 143;

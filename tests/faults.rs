@@ -1,0 +1,145 @@
+//! Faults in the middle of a run, which it survives without a trace in what it learns.
+
+use crate::util::{
+    LIMIT, Place, Process, Trace, assert_gone, domain, evaluations, newest_checkpoint, process, processes,
+    result, send, start, wait_until,
+};
+use nix::sys::signal::Signal;
+use std::fs;
+use std::time::{Duration, Instant};
+use trestle_proto::rundir::RunDir;
+
+/// Two actors, and checkpoints on the way.
+const ARGS: [&str; 9] = [
+    "maze-small",
+    "--env-steps",
+    "40000",
+    "--seed",
+    "5",
+    "--actors",
+    "2",
+    "--set",
+    "checkpoint.every_env_steps=5000",
+];
+const ROLES: [&str; 4] = ["learner", "mentor-server", "actor-0", "actor-1"];
+
+/// Kills `role` of the run and waits until another process has its place.
+fn replace(run: &mut Process, dir: &RunDir, role: &str) {
+    let mut killed = None;
+    run.wait_for(role, || {
+        killed = process(dir.root(), role);
+        killed.is_some()
+    });
+    send(killed.unwrap(), Signal::SIGKILL);
+    run.wait_for("another process", || process(dir.root(), role).is_some_and(|pid| Some(pid) != killed));
+}
+
+/// The run came to what an undisturbed one comes to, after so many restarts.
+fn survived(place: &Place, run: Process, name: &str, restarts: u64, undisturbed: &Trace) {
+    let outcome = run.finish().ok();
+    let dir = place.run(name);
+    assert_gone(&dir);
+    assert_eq!(
+        outcome.stderr.matches("starting all processes again").count() as u64,
+        restarts,
+        "{outcome:?}"
+    );
+    assert_eq!(result(&dir).restarts, restarts);
+    assert_eq!(Trace::of(&dir), *undisturbed);
+}
+
+#[test]
+fn any_process_may_be_killed() {
+    for more in [&[][..], &["--set", "run.lag=1"]] {
+        let place = Place::new();
+        let args = [&ARGS[..], more].concat();
+        let undisturbed = place.train("undisturbed", &args);
+        let mut run = start(&place.training("run", &args));
+        let dir = place.run("run");
+        for role in ROLES {
+            let before = newest_checkpoint(&dir);
+            run.wait_for("a checkpoint", || newest_checkpoint(&dir) > before);
+            replace(&mut run, &dir, role);
+        }
+        survived(&place, run, "run", 4, &undisturbed);
+        let log = fs::read_to_string(dir.log("supervisor")).unwrap();
+        assert!(ROLES.iter().all(|role| log.contains(&format!("{role} ended with signal: 9"))), "{log}");
+    }
+}
+
+#[test]
+fn a_run_without_a_checkpoint_begins_again() {
+    let place = Place::new();
+    let args = ["maze-small", "--env-steps", "20000", "--set", "checkpoint.every_env_steps=0"];
+    let undisturbed = place.train("undisturbed", &args);
+    let mut run = start(&place.training("run", &args));
+    let dir = place.run("run");
+    for role in ["actor-0", "learner"] {
+        run.wait_for("evaluations", || evaluations(&dir) >= 2);
+        replace(&mut run, &dir, role);
+    }
+    survived(&place, run, "run", 2, &undisturbed);
+}
+
+#[test]
+fn a_process_may_be_killed_while_the_run_starts() {
+    let place = Place::new();
+    let args = ["maze-small", "--env-steps", "5000"];
+    let undisturbed = place.train("undisturbed", &args);
+    for role in ["learner", "mentor-server", "actor-0"] {
+        let mut run = start(&place.training(role, &args));
+        replace(&mut run, &place.run(role), role);
+        survived(&place, run, role, 1, &undisturbed);
+    }
+}
+
+#[test]
+fn a_stopped_process_is_replaced() {
+    let place = Place::new();
+    let args = [&ARGS[..], &["--set", "supervise.silence_s=3"]].concat();
+    let undisturbed = place.train("undisturbed", &args);
+    for role in ["learner", "mentor-server", "actor-1"] {
+        let mut run = start(&place.training(role, &args));
+        let dir = place.run(role);
+        run.wait_for("an evaluation", || evaluations(&dir) > 0);
+        send(process(dir.root(), role).unwrap(), Signal::SIGSTOP);
+        survived(&place, run, role, 1, &undisturbed);
+        let log = fs::read_to_string(dir.log("supervisor")).unwrap();
+        assert!(log.contains(&format!("{role} gave no sign of life for 3 s")), "{log}");
+    }
+}
+
+/// Nobody dies of it that the supervisor itself, or the whole run, has been stopped.
+#[test]
+fn a_pause_is_no_death() {
+    let place = Place::new();
+    let args = [&ARGS[..], &["--set", "supervise.silence_s=3", "--set", "supervise.stall_s=3"]].concat();
+    let undisturbed = place.train("undisturbed", &args);
+    let mut run = start(&place.training("run", &args));
+    let dir = place.run("run");
+    run.wait_for("an evaluation", || evaluations(&dir) > 0);
+    let all = processes(dir.root());
+    assert_eq!(all.len(), 5);
+    all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGSTOP));
+    let stopped = Instant::now();
+    assert!(wait_until(LIMIT, || stopped.elapsed() > Duration::from_secs(5)));
+    all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGCONT));
+    survived(&place, run, "run", 0, &undisturbed);
+}
+
+#[test]
+fn a_run_that_does_not_get_ahead_ends() {
+    let place = Place::new();
+    let endless = ["maze-small", "--env-steps", "1000000000", "--episodes", "1000000000"];
+    let mut run = start(&place.training("run", &[&endless[..], &["--set", "supervise.restarts=2"]].concat()));
+    let dir = place.run("run");
+    for _ in 0..2 {
+        replace(&mut run, &dir, "actor-0");
+    }
+    let shared = domain(&dir);
+    send(process(dir.root(), "actor-0").unwrap(), Signal::SIGKILL);
+    let words = ["actor-0 ended with signal: 9", "started again 2 times without getting ahead", "its log"];
+    run.finish().code(1).refused(&words);
+    assert!(wait_until(LIMIT, || !shared.root().exists()));
+    assert!(!dir.result().exists(), "a run that failed has no result");
+}
