@@ -24,9 +24,11 @@ pub mod qnetwork;
 pub mod run;
 
 mod backward;
+mod buffer;
 
 pub use adam::{Adam, AdamConfig, AdamError, clip_grad_norm};
 pub use backward::{RowGrad, backward};
+pub use buffer::AlignedBuffer;
 pub use encode::{Encoding, EncodingError};
 pub use kernels::{Isa, Kernels};
 pub use layout::{Layer, Layout, LayoutError, init};

@@ -1,6 +1,7 @@
 //! Values of a network: the forward pass, for acting and for training.
 
-use crate::kernels::{After, ByRow, Kernels, Product};
+use crate::buffer::AlignedBuffer;
+use crate::kernels::{After, ByRow, Kernels, NarrowProduct, Product};
 use crate::layout::{Layer, Layout};
 
 /// Scratch memory for networks of one layout and batches up to a fixed number of rows.
@@ -14,18 +15,18 @@ pub struct Workspace {
     pub(crate) layout: Layout,
     pub(crate) max_rows: usize,
     /// Input of each layer, `[max_rows][inputs]`, as the last [`forward_train`] left them.
-    pub(crate) inputs: Vec<Vec<f32>>,
+    pub(crate) inputs: Vec<AlignedBuffer>,
     /// How many rows of `inputs` the last [`forward_train`] filled.
     pub(crate) trained_rows: usize,
     /// Hidden layers of [`forward`], in turns: apart from `inputs`, so that a forward pass of the target
     /// network may come between [`forward_train`] and [`crate::backward()`].
-    hidden: [Vec<f32>; 2],
+    hidden: [AlignedBuffer; 2],
     /// Gradients of hidden layers in turns.
-    pub(crate) delta: [Vec<f32>; 2],
+    pub(crate) delta: [AlignedBuffer; 2],
     /// A layer's weights, transposed.
-    pub(crate) weights_t: Vec<f32>,
+    pub(crate) weights_t: AlignedBuffer,
     /// Gradient of the output layer's weights, transposed.
-    pub(crate) grad_t: Vec<f32>,
+    pub(crate) grad_t: AlignedBuffer,
     /// The gradient's rows, field by field.
     pub(crate) rows: Vec<u32>,
     pub(crate) actions: Vec<u32>,
@@ -47,7 +48,7 @@ impl Workspace {
     /// If `max_rows` is 0 or above `u32::MAX`.
     pub fn with_kernels(layout: &Layout, max_rows: usize, kernels: Kernels) -> Workspace {
         assert!(max_rows > 0 && u32::try_from(max_rows).is_ok(), "max_rows is {max_rows}");
-        let rows_of = |width: usize| vec![0.0; max_rows * width];
+        let rows_of = |width: usize| AlignedBuffer::new(max_rows * width);
         let hidden = layout.max_hidden();
         let weights = |layer: &Layer| layer.weights().len();
         let layers = layout.layers();
@@ -59,8 +60,8 @@ impl Workspace {
             trained_rows: 0,
             hidden: [rows_of(hidden), rows_of(hidden)],
             delta: [rows_of(hidden), rows_of(hidden)],
-            weights_t: vec![0.0; layers[1..].iter().map(weights).max().unwrap_or(0)],
-            grad_t: vec![0.0; layers.last().map_or(0, weights)],
+            weights_t: AlignedBuffer::new(layers[1..].iter().map(weights).max().unwrap_or(0)),
+            grad_t: AlignedBuffer::new(layers.last().map_or(0, weights)),
             rows: Vec::with_capacity(max_rows),
             actions: Vec::with_capacity(max_rows),
             dq: Vec::with_capacity(max_rows),
@@ -140,6 +141,16 @@ fn dense(
     relu: bool,
     output: &mut [f32],
 ) {
+    // Whether the layer is the last one, not how many rows there are: a row's bits must not depend on the others.
+    if !relu && layer.outputs <= NarrowProduct::COLUMNS {
+        return kernels.run(NarrowProduct {
+            inner: layer.inputs,
+            x: input,
+            weights: &params[layer.weights()],
+            bias: &params[layer.bias()],
+            out: output,
+        });
+    }
     kernels.run(Product {
         rows,
         inner: layer.inputs,
@@ -173,7 +184,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::kernels::Isa;
+    use crate::kernels::{Isa, by_definition};
     use crate::layout::init;
 
     /// A forward pass of one row, element by element.
@@ -182,6 +193,10 @@ mod tests {
         for (l, layer) in layout.layers().iter().enumerate() {
             let (w, b) = (&params[layer.weights()], &params[layer.bias()]);
             let unit = |j: usize| {
+                if l + 1 == layout.layers().len() && layer.outputs <= NarrowProduct::COLUMNS {
+                    let column: Vec<f32> = w.iter().skip(j).step_by(layer.outputs).copied().collect();
+                    return by_definition(&x, &column, b[j], layer.outputs);
+                }
                 let sum = (0..layer.inputs).fold(b[j], |sum, i| x[i].mul_add(w[i * layer.outputs + j], sum));
                 if l + 1 < layout.layers().len() { sum.max(0.0) } else { sum }
             };

@@ -5,16 +5,18 @@
 //! and picks one at run time. No `target-cpu` flag is needed, and one binary serves every x86-64 machine.
 //!
 //! Why the bits agree: every output element is one chain of fused multiply-adds in ascending order of the
-//! inner index, whatever tile or lane it happens to be computed in; reductions always run over 64 partial
-//! sums and one fixed tree; all other operations are single IEEE operations an element. Only the payload of a
-//! NaN may differ.
+//! inner index, whatever tile or lane it happens to be computed in; reductions, and the few columns of an
+//! output layer, always run over 64 partial sums and one fixed tree; all other operations are single IEEE
+//! operations an element. Only the payload of a NaN may differ.
 //!
 //! `unsafe` is confined to two places: calling the intrinsics of an instruction set (`x86.rs`), and entering
 //! the code compiled for it (`Kernels::run`), which is sound because a [`Kernels`] can only be had for an
 //! instruction set that the machine was found to have.
 
 mod elementwise;
+mod narrow;
 mod output_layer;
+pub mod peak;
 mod product;
 mod reduce;
 mod transpose;
@@ -23,6 +25,9 @@ mod vector;
 mod x86;
 
 pub(crate) use elementwise::{AdamStep, Blend, Scale};
+pub(crate) use narrow::NarrowProduct;
+#[cfg(test)]
+pub(crate) use narrow::by_definition;
 pub(crate) use output_layer::OutputLayer;
 pub(crate) use product::{After, ByColumn, ByRow, Product};
 pub(crate) use reduce::{ColumnSums, SumOfSquares};

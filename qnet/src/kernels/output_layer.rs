@@ -37,36 +37,28 @@ impl Op for OutputLayer<'_> {
         let width = self.width;
         let n = self.rows.len();
         assert!(self.actions.len() == n && self.dq.len() == n);
-        let full = width - width % S::LANES;
         for e in 0..n {
             let action = self.actions[e] as usize * width;
-            let hidden = &self.hidden[self.rows[e] as usize * width..][..width];
-            let grad = &mut self.grad_t[action..][..width];
+            let hidden = self.hidden[self.rows[e] as usize * width..][..width].chunks_exact(S::LANES);
+            let mut grad = self.grad_t[action..][..width].chunks_exact_mut(S::LANES);
             let dq = S::splat(self.dq[e]);
-            let mut at = 0;
-            while at < full {
-                let here = at..at + S::LANES;
-                let sum = dq.mul_add(S::load(&hidden[here.clone()]), S::load(&grad[here.clone()]));
-                sum.store(&mut grad[here]);
-                at += S::LANES;
+            for (hidden, grad) in hidden.clone().zip(&mut grad) {
+                dq.mul_add(S::load(hidden), S::load(grad)).store(grad);
             }
-            if full < width {
-                let rest = &mut grad[full..];
-                dq.mul_add(S::load_partial(&hidden[full..]), S::load_partial(rest)).store_partial(rest);
+            let (rest, grad) = (hidden.remainder(), grad.into_remainder());
+            if !rest.is_empty() {
+                dq.mul_add(S::load_partial(rest), S::load_partial(grad)).store_partial(grad);
             }
+
             let Some(delta) = &mut self.delta else { continue };
-            let delta = &mut delta[e * width..][..width];
-            let weights = &self.weights_t[action..][..width];
-            let mut at = 0;
-            while at < full {
-                let here = at..at + S::LANES;
-                let product = dq.mul(S::load(&weights[here.clone()]));
-                product.gate(S::load(&hidden[here.clone()])).store(&mut delta[here]);
-                at += S::LANES;
+            let mut delta = delta[e * width..][..width].chunks_exact_mut(S::LANES);
+            let weights = self.weights_t[action..][..width].chunks_exact(S::LANES);
+            for ((hidden, weights), delta) in hidden.clone().zip(weights.clone()).zip(&mut delta) {
+                dq.mul(S::load(weights)).gate(S::load(hidden)).store(delta);
             }
-            if full < width {
-                let product = dq.mul(S::load_partial(&weights[full..]));
-                product.gate(S::load_partial(&hidden[full..])).store_partial(&mut delta[full..]);
+            if !rest.is_empty() {
+                let product = dq.mul(S::load_partial(weights.remainder()));
+                product.gate(S::load_partial(rest)).store_partial(delta.into_remainder());
             }
         }
     }

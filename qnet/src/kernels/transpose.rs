@@ -16,26 +16,41 @@ impl Op for Transpose<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Vector>(self) {
-        let Transpose { x, columns, out } = self;
-        let rows = x.len() / columns;
-        assert!(x.len() == rows * columns && out.len() == x.len());
-        let (tall, wide) = (rows - rows % 8, columns - columns % 8);
-        for row in (0..tall).step_by(8) {
-            for column in (0..wide).step_by(8) {
-                let mut block: [&[f32]; 8] = [&[]; 8];
-                for (r, line) in block.iter_mut().enumerate() {
-                    *line = &x[(row + r) * columns + column..][..8];
-                }
-                let block = S::transpose_8x8(block);
-                for (c, line) in block.iter().enumerate() {
-                    out[(column + c) * rows + row..][..8].copy_from_slice(line);
+    fn run<S: Vector>(mut self) {
+        let rows = self.x.len() / self.columns;
+        assert!(self.x.len() == rows * self.columns && self.out.len() == self.x.len());
+        // In strips of 16 rows, whatever the height of a block: the result then comes by whole cache lines.
+        for strip in (0..rows).step_by(16) {
+            for column in (0..self.columns).step_by(8) {
+                for row in (strip..rows.min(strip + 16)).step_by(S::LANES) {
+                    self.block::<S>(rows, row, column);
                 }
             }
         }
-        for row in 0..rows {
-            for column in if row < tall { wide } else { 0 }..columns {
-                out[column * rows + row] = x[row * columns + column];
+    }
+}
+
+impl Transpose<'_> {
+    /// The block from one row and column on: a register high and eight columns wide, or what is left of that.
+    #[inline(always)]
+    fn block<S: Vector>(&mut self, rows: usize, row: usize, column: usize) {
+        let (tall, wide) = ((rows - row).min(S::LANES), (self.columns - column).min(8));
+        let corner = &self.x[row * self.columns + column..];
+        let out = &mut self.out[column * rows + row..];
+        // The same code twice: where the compiler knows that a block is whole, it is far faster. The loops
+        // have a fixed number of turns for the block to stay in registers.
+        if tall == S::LANES && wide == 8 {
+            let block = S::columns(corner, self.columns, S::LANES, 8);
+            for (c, line) in block.iter().enumerate() {
+                line.store(&mut out[c * rows..]);
+            }
+        } else {
+            let block = S::columns(corner, self.columns, tall, wide);
+            for (c, line) in block.iter().enumerate() {
+                if c < wide {
+                    let out = &mut out[c * rows..][..tall];
+                    if tall == S::LANES { line.store(out) } else { line.store_partial(out) }
+                }
             }
         }
     }
@@ -57,7 +72,7 @@ mod tests {
                 let mut out = vec![f32::NAN; x.len()];
                 Kernels::new(isa).unwrap().run(Transpose { x: &x, columns, out: &mut out });
                 for (at, &value) in out.iter().enumerate() {
-                    prop_assert_eq!(value, ((at % rows) * columns + at / rows) as f32);
+                    prop_assert_eq!(value, ((at % rows) * columns + at / rows) as f32, "{}", isa);
                 }
             }
         }

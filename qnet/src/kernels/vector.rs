@@ -18,6 +18,9 @@ pub(crate) trait Vector: Copy {
     fn load(x: &[f32]) -> Self;
     /// All numbers of a slice with fewer than `LANES`; the other lanes are 0.
     fn load_partial(x: &[f32]) -> Self;
+    /// Each of the first numbers of a slice in `P` lanes side by side: lane `l` is `x[l / P]`. `P` is 4, 8
+    /// or 16.
+    fn spread<const P: usize>(x: &[f32]) -> Self;
     /// Writes the lanes to the first `LANES` places of a slice that has at least as many.
     fn store(self, out: &mut [f32]);
     /// Writes the first lanes to a slice with fewer than `LANES` places.
@@ -40,9 +43,10 @@ pub(crate) trait Vector: Copy {
     fn gate(self, activation: Self) -> Self;
     /// 0 where the magnitude is below the smallest normal number.
     fn flush_subnormal(self) -> Self;
-    /// The transpose of the first eight numbers of eight slices. Eight, whatever the number of lanes: the
-    /// compiler does not find the shuffles by itself, and wider blocks gain little.
-    fn transpose_8x8(rows: [&[f32]; 8]) -> [[f32; 8]; 8];
+    /// The columns of a block with up to `LANES` rows, `stride` numbers apart, of up to eight numbers: lane `r`
+    /// of register `c` is `x[r * stride + c]`, or 0 outside the block. The compiler does not find the shuffles
+    /// for it by itself.
+    fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8];
 }
 
 /// A kernel with its arguments.
@@ -86,6 +90,11 @@ impl Vector for Portable {
         let mut lanes = [0.0; 8];
         lanes[..x.len()].copy_from_slice(x);
         lanes
+    }
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32]) -> Self {
+        map([0.0; 8], |_, lane| x[lane / P])
     }
 
     #[inline(always)]
@@ -144,14 +153,14 @@ impl Vector for Portable {
     }
 
     #[inline(always)]
-    fn transpose_8x8(rows: [&[f32]; 8]) -> [[f32; 8]; 8] {
-        let mut columns = [[0.0; 8]; 8];
-        for (r, row) in rows.iter().enumerate() {
-            for (c, &x) in row[..8].iter().enumerate() {
-                columns[c][r] = x;
+    fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8] {
+        let mut lanes = [[0.0; 8]; 8];
+        for r in 0..rows {
+            for (c, &x) in x[r * stride..][..columns].iter().enumerate() {
+                lanes[c][r] = x;
             }
         }
-        columns
+        lanes
     }
 }
 

@@ -33,6 +33,37 @@ macro_rules! intrinsic {
     };
 }
 
+/// Up to `N` rows of a block of up to eight numbers, `stride` numbers apart; the rest is 0.
+#[inline(always)]
+fn lines_of_8<const N: usize>(x: &[f32], stride: usize, rows: usize, columns: usize) -> [__m256; N] {
+    let mut lines = [Avx2::splat(0.0).0; N];
+    // A fixed number of turns, so that the lines stay in registers.
+    for (r, line) in lines.iter_mut().enumerate() {
+        if r < rows {
+            let x = &x[r * stride..][..columns];
+            *line = if columns == 8 { Avx2::load(x).0 } else { Avx2::load_partial(x).0 };
+        }
+    }
+    lines
+}
+
+/// Transposes all blocks of 4 by 4 numbers in registers 0 to 3, and all in registers 4 to 7.
+macro_rules! transpose_quads {
+    ($lines:ident, $low:ident, $high:ident, $shuffle:ident) => {{
+        let mut quads = $lines;
+        for first in [0, 4] {
+            let [a, b, c, d] = [$lines[first], $lines[first + 1], $lines[first + 2], $lines[first + 3]];
+            let (ab, cd) = (intrinsic!($low(a, b)), intrinsic!($low(c, d)));
+            quads[first] = intrinsic!($shuffle::<0x44>(ab, cd));
+            quads[first + 1] = intrinsic!($shuffle::<0xee>(ab, cd));
+            let (ab, cd) = (intrinsic!($high(a, b)), intrinsic!($high(c, d)));
+            quads[first + 2] = intrinsic!($shuffle::<0x44>(ab, cd));
+            quads[first + 3] = intrinsic!($shuffle::<0xee>(ab, cd));
+        }
+        quads
+    }};
+}
+
 /// Sixteen lanes.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512(__m512);
@@ -63,6 +94,21 @@ impl Vector for Avx512 {
     fn load_partial(x: &[f32]) -> Self {
         let mask = first_of_16(x.len());
         Avx512(intrinsic!(_mm512_maskz_loadu_ps(mask, x.as_ptr())))
+    }
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32]) -> Self {
+        const { assert!(P == 4 || P == 8 || P == 16) };
+        let n = 16 / P;
+        assert!(x.len() >= n);
+        let numbers = match n {
+            4 => intrinsic!(_mm_loadu_ps(x.as_ptr())),
+            2 => intrinsic!(_mm_castpd_ps(_mm_load_sd(x.as_ptr().cast()))),
+            _ => return Self::splat(x[0]),
+        };
+        let lanes: [i32; 16] = std::array::from_fn(|lane| (lane / P) as i32);
+        let index = intrinsic!(_mm512_loadu_si512(lanes.as_ptr().cast()));
+        Avx512(intrinsic!(_mm512_permutexvar_ps(index, _mm512_castps128_ps512(numbers))))
     }
 
     #[inline(always)]
@@ -127,8 +173,24 @@ impl Vector for Avx512 {
     }
 
     #[inline(always)]
-    fn transpose_8x8(rows: [&[f32]; 8]) -> [[f32; 8]; 8] {
-        Avx2::transpose_8x8(rows)
+    fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8] {
+        let halves = lines_of_8::<16>(x, stride, rows, columns);
+        let mut lines = [Self::splat(0.0).0; 8];
+        for (i, line) in lines.iter_mut().enumerate() {
+            // Rows 0 to 3 with 4 to 7 behind them, then rows 8 to 11 with 12 to 15.
+            let row = i + i / 4 * 4;
+            let low = intrinsic!(_mm512_castpd256_pd512(_mm256_castps_pd(halves[row])));
+            let high = intrinsic!(_mm256_castps_pd(halves[row + 4]));
+            *line = intrinsic!(_mm512_castpd_ps(_mm512_insertf64x4::<1>(low, high)));
+        }
+        let quads = transpose_quads!(lines, _mm512_unpacklo_ps, _mm512_unpackhi_ps, _mm512_shuffle_ps);
+        let mut columns = [Self::splat(0.0); 8];
+        for c in 0..4 {
+            let (a, b) = (quads[c], quads[c + 4]);
+            columns[c] = Avx512(intrinsic!(_mm512_shuffle_f32x4::<0x88>(a, b)));
+            columns[c + 4] = Avx512(intrinsic!(_mm512_shuffle_f32x4::<0xdd>(a, b)));
+        }
+        columns
     }
 }
 
@@ -163,6 +225,18 @@ impl Vector for Avx2 {
     fn load_partial(x: &[f32]) -> Self {
         let mask = first_of_8(x.len());
         Avx2(intrinsic!(_mm256_maskload_ps(x.as_ptr(), mask)))
+    }
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32]) -> Self {
+        const { assert!(P == 4 || P == 8 || P == 16) };
+        if P >= 8 {
+            return Self::splat(x[0]);
+        }
+        assert!(x.len() >= 2);
+        let numbers = intrinsic!(_mm_castpd_ps(_mm_load_sd(x.as_ptr().cast())));
+        let index = intrinsic!(_mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1));
+        Avx2(intrinsic!(_mm256_permutevar8x32_ps(_mm256_castps128_ps256(numbers), index)))
     }
 
     #[inline(always)]
@@ -228,30 +302,14 @@ impl Vector for Avx2 {
     }
 
     #[inline(always)]
-    fn transpose_8x8(rows: [&[f32]; 8]) -> [[f32; 8]; 8] {
-        let mut r = [intrinsic!(_mm256_setzero_ps()); 8];
-        for i in 0..8 {
-            r[i] = Avx2::load(rows[i]).0;
-        }
-        // Pairs of rows, then quadruples, then halves: each step doubles the length of the finished pieces.
-        let mut pairs = r;
-        for i in (0..8).step_by(2) {
-            pairs[i] = intrinsic!(_mm256_unpacklo_ps(r[i], r[i + 1]));
-            pairs[i + 1] = intrinsic!(_mm256_unpackhi_ps(r[i], r[i + 1]));
-        }
-        let mut quads = pairs;
-        for half in [0, 4] {
-            for i in 0..2 {
-                let (a, b) = (pairs[half + i], pairs[half + i + 2]);
-                quads[half + 2 * i] = intrinsic!(_mm256_shuffle_ps::<0x44>(a, b));
-                quads[half + 2 * i + 1] = intrinsic!(_mm256_shuffle_ps::<0xee>(a, b));
-            }
-        }
-        let mut columns = [[0.0; 8]; 8];
-        for i in 0..4 {
-            let (a, b) = (quads[i], quads[i + 4]);
-            Avx2(intrinsic!(_mm256_permute2f128_ps::<0x20>(a, b))).store(&mut columns[i]);
-            Avx2(intrinsic!(_mm256_permute2f128_ps::<0x31>(a, b))).store(&mut columns[i + 4]);
+    fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8] {
+        let lines = lines_of_8::<8>(x, stride, rows, columns);
+        let quads = transpose_quads!(lines, _mm256_unpacklo_ps, _mm256_unpackhi_ps, _mm256_shuffle_ps);
+        let mut columns = [Self::splat(0.0); 8];
+        for c in 0..4 {
+            let (a, b) = (quads[c], quads[c + 4]);
+            columns[c] = Avx2(intrinsic!(_mm256_permute2f128_ps::<0x20>(a, b)));
+            columns[c + 4] = Avx2(intrinsic!(_mm256_permute2f128_ps::<0x31>(a, b)));
         }
         columns
     }
