@@ -1,6 +1,7 @@
 //! The program `trestle`: arguments in, one command out. Every process of a run is this program with another
 //! subcommand.
 
+mod bench;
 #[macro_use]
 mod output;
 

@@ -5,6 +5,7 @@
 
 mod util;
 
+mod bench;
 mod commands;
 mod concurrency;
 mod determinism;

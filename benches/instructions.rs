@@ -1,0 +1,91 @@
+//! A fixed amount of the work that dominates a run, to count instructions of: `instructions step|mentor|tick N`.
+//! Nothing here depends on time or chance, so that the difference between two counts is exact but for what memory
+//! costs the allocator. `benches/instructions.sh` runs it.
+
+#[path = "../deploy/bench/cases/gradient.rs"]
+mod gradient;
+#[path = "shared/mentor.rs"]
+mod mentor;
+#[path = "../deploy/bench/cases/walk.rs"]
+mod walk;
+
+use anyhow::{Context, Result, bail};
+use gradient::GradientStep;
+use mentor::{BATCH, DIM, Server};
+use trestle_actor::env;
+use trestle_actor::worker::Worker;
+use trestle_learner::agent::Agent;
+use trestle_learner::replay::Replay;
+use trestle_mentor_server::demonstration::Demonstration;
+use trestle_mentor_server::run::mentor_of;
+use trestle_proto::batch::Batch;
+use trestle_proto::config;
+use trestle_proto::observe::Observed;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::tick::{COLLECT, Tick};
+use trestle_qnet::{Isa, Kernels};
+
+fn main() -> Result<()> {
+    let mut args = std::env::args().skip(1);
+    let (what, times) = (args.next().unwrap_or_default(), args.next().unwrap_or_default());
+    let times: u64 = times.parse().with_context(|| format!("N is `{times}`; accepted: whole numbers"))?;
+    match what.as_str() {
+        "step" => steps(times),
+        "mentor" => observations(times),
+        "tick" => ticks(times),
+        _ => bail!("`{what}`; accepted: step, mentor, tick"),
+    }
+}
+
+/// Gradient steps of maze30's network, with AVX2: valgrind does not know AVX-512.
+fn steps(times: u64) -> Result<()> {
+    let kernels = Kernels::new(Isa::Avx2).context("this machine has no AVX2 with FMA")?;
+    let mut step = GradientStep::new(&[2, 128, 128, 4], 32, kernels)?;
+    (0..times).try_for_each(|_| step.run())
+}
+
+/// Batches through the mentor-server and into the replay.
+fn observations(times: u64) -> Result<()> {
+    let stored = 64 * BATCH as usize;
+    let (mut server, mut replay) = (Server::new(stored)?, Replay::new(stored, DIM)?);
+    for _ in 0..times {
+        let (batch, observed) = server.observe()?;
+        for at in 0..batch.len() {
+            replay.push(&batch.transition(at), 0, observed.mentor[at]);
+        }
+    }
+    Ok(())
+}
+
+/// Ticks of HA-DIIQN on maze30 with one actor, in one process and without any message.
+fn ticks(times: u64) -> Result<()> {
+    anyhow::ensure!(
+        Isa::detect() == Isa::Avx2,
+        "kernels for {}; accepted: avx2, as in valgrind",
+        Isa::detect()
+    );
+    let sets = ["run.algo=\"ha-diiqn\"", "learner.warmup=32", "learner.replay=4096"].map(String::from);
+    let mut config = config::load("maze30", &sets)?;
+    env::resolve(&mut config.env, config.run.seed)?;
+    let spec = env::build(&config.env)?.spec().clone();
+    let mut demonstration = Demonstration::new((0..spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
+    let states = env::plan_states(&config.env, &config.mentor.actions)?;
+    demonstration.push_trajectory(&states.concat(), true)?;
+    let mentor_len = demonstration.n_transitions();
+    let plan = RunPlan { run: 1, config, spec, mentor_len, resume_tick: None, restarts: 0 };
+
+    let mut worker = Worker::new(&plan, 0)?;
+    let mut mentor = mentor_of(&plan, &demonstration)?;
+    let mut agent = Agent::new(&plan, Some(demonstration.transitions()))?;
+    let (mut batch, mut observed) = (Batch::default(), Observed::default());
+    for number in 1..=times {
+        let env_steps = agent.counters().env_steps;
+        let amount = plan.config.run.rollout;
+        let tick = Tick { run: 1, tick: number, env_steps, kind: COLLECT, amount, ..Tick::default() };
+        worker.collect(agent.weights(), &tick, &mut batch)?;
+        mentor.observe(env_steps, 0, &batch, &mut observed)?;
+        agent.ingest(&batch, Some(&observed))?;
+        agent.train()?;
+    }
+    Ok(())
+}

@@ -1,0 +1,130 @@
+"""Rewrites the tables between markers in a Markdown file from what benches/report.sh measured.
+
+Usage: report.py DIRECTORY FILE. A table whose measurements are missing stays as it is.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+
+def number(value) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        return " x ".join(map(str, value))
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+    return f"{value:,}" if isinstance(value, int) and value >= 10_000 else str(value)
+
+
+def table(rows: list[dict], columns: dict[str, str]) -> str:
+    """Rows of `rows`, the columns being those of `columns` under its names."""
+    lines = ["| " + " | ".join(columns.values()) + " |", "|" + "---|" * len(columns)]
+    lines += ["| " + " | ".join(number(row.get(key)) for key in columns) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def conditions(report: dict) -> str:
+    machine = report["machine"]
+    cores = f"{machine['cores']} cores"
+    versions = "".join(f", {name} {version}" for name, version in report.get("versions", {}).items())
+    return f"{machine['cpu']}, {cores}, Linux {machine['kernel']}{versions}; load average before: " \
+           f"{number(machine['load_average'])}."
+
+
+def measured(report: dict, columns: dict[str, str]) -> str:
+    return f"{table(report['rows'], columns)}\n\n{conditions(report)}"
+
+
+def network(row: dict) -> tuple:
+    return row["inputs"], *row["hidden"], row["batch"]
+
+
+def peers(step: dict, *others: dict) -> str:
+    """The step beside those of other libraries."""
+    rows = []
+    for row in step["rows"]:
+        if row["isa"] != step["machine"]["isa"]:
+            continue
+        line = {"inputs": row["inputs"], "hidden": row["hidden"], "batch": row["batch"], "us": row["us"]}
+        for other in others:
+            for found in other["rows"]:
+                if network(found) == network(row):
+                    name = f"{other['name']}_{found['how']}"
+                    line[name] = found["us"]
+                    line[f"{name}_ratio"] = found["us"] / row["us"]
+        rows.append(line)
+    columns = {"inputs": "inputs", "hidden": "hidden", "batch": "batch", "us": "Trestle, us"}
+    for key, title in (("step_torch_eager", "PyTorch eager"), ("step_torch_compiled", "PyTorch compiled"),
+                       ("step_jax_jit", "JAX jit")):
+        if any(key in row for row in rows):
+            columns |= {key: f"{title}, us", f"{key}_ratio": "times ours"}
+    notes = "\n\n".join(conditions(report) for report in (step, *others))
+    return f"{table(rows, columns)}\n\n{notes}"
+
+
+def whole_runs(report: dict) -> str:
+    by = {(row["algo"], row["mode"]): row["steps_per_s"] for row in report["rows"]}
+    rows = [{"algo": algo, **{mode: by[algo, mode] for mode in ("reference", "lockstep")},
+             "ratio": by[algo, "lockstep"] / by[algo, "reference"],
+             "of_dqn": by[algo, "lockstep"] / by["dqn", "lockstep"]} for algo in ("dqn", "ha-diiqn")]
+    columns = {"algo": "algorithm", "reference": "reference, steps/s", "lockstep": "lockstep, steps/s",
+               "ratio": "lockstep / reference", "of_dqn": "lockstep / DQN's"}
+    return f"{table(rows, columns)}\n\n{conditions(report)}"
+
+
+def against_sb3(report: dict) -> str:
+    row = {"sb3": report["median_sb3_steps_per_s"], "trestle": report["median_trestle_steps_per_s"],
+           "ratio": report["median_ratio"], "cpu": report["median_cpu_ratio"]}
+    columns = {"sb3": "Stable-Baselines3, steps/s", "trestle": "Trestle, steps/s", "ratio": "ratio",
+               "cpu": "ratio by CPU time"}
+    loads = [run[side]["load_average_before"] for run in report["runs"] for side in ("sb3", "trestle")]
+    versions = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
+    return f"{table([row], columns)}\n\n{report['cpu_model']}, CPUs {report['cpus']}, Linux {report['kernel']}, " \
+           f"{versions}; load average before the runs: {min(loads)} to {max(loads)}."
+
+
+# Of each table: the measurements that it needs, and how it is made of them.
+TABLES = {
+    "step": (["step"], lambda step: measured(step, {
+        "inputs": "inputs", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
+        "limit_us": "limit, us", "times_limit": "times the limit", "peak_gflops": "peak, GFLOP/s"})),
+    "peers": (["step", "step_torch", "step_jax"], peers),
+    "infer": (["infer"], lambda infer: measured(infer, {
+        "inputs": "inputs", "hidden": "hidden", "isa": "instructions", "us": "us"})),
+    "replay": (["replay"], lambda replay: measured(replay, {
+        "op": "operation", "dim": "features", "stored": "stored", "ns": "ns a transition"})),
+    "mentor": (["mentor"], lambda mentor: measured(mentor, {
+        "op": "operation", "dim": "features", "mentor": "mentor transitions", "stored": "stored", "ns": "ns",
+        "naive_ns": "naive, ns"})),
+    "tick": (["tick"], lambda tick: measured(tick, {
+        "actors": "actors", "rollout": "rollout", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio"})),
+    "message": (["message"], lambda message: measured(message, {
+        "batch": "batch", "ns": "ns a transition", "socket_ns": "Unix socket, ns", "ratio": "ratio"})),
+    "weights": (["weights"], lambda weights: measured(weights, {
+        "subscribers": "actors", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio"})),
+    "loop": (["loop"], whole_runs),
+    "maze30": (["maze30"], against_sb3),
+}
+
+
+def main() -> None:
+    directory, file = map(Path, sys.argv[1:])
+    text = file.read_text(encoding="utf-8")
+    for name, (needs, make) in TABLES.items():
+        paths = [directory / f"{need}.json" for need in needs]
+        if missing := [str(path) for path in paths if not path.exists()]:
+            print(f"{name}: not measured ({', '.join(missing)}); its table stays", file=sys.stderr)
+            continue
+        content = make(*(json.loads(path.read_text(encoding="utf-8")) for path in paths))
+        marker = re.compile(rf"(<!-- {name}: [^>]*-->\n).*?(<!-- end -->)", re.DOTALL)
+        text, found = marker.subn(lambda m: f"{m[1]}{content}\n{m[2]}", text)
+        if found != 1:
+            raise SystemExit(f"{file} has {found} places for the table {name}; expected: 1")
+    file.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

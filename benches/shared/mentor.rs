@@ -1,0 +1,48 @@
+//! A mentor-server in a world that an observer walks about in.
+
+use crate::walk::{Walk, World};
+use anyhow::Result;
+use trestle_mentor_server::mentor::Mentor;
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::config::{self, Algo};
+use trestle_proto::observe::Observed;
+
+/// Features of a state.
+pub(crate) const DIM: usize = 2;
+/// Transitions in a batch.
+pub(crate) const BATCH: u32 = 32;
+const MENTOR: usize = 10_000;
+
+/// The mentor-server, and who hands it batches.
+pub(crate) struct Server {
+    mentor: Mentor,
+    walk: Walk,
+    batch: Batch,
+    observed: Observed,
+    index: u64,
+}
+
+impl Server {
+    /// A mentor-server that knows nothing yet, with a history of up to `stored` transitions.
+    pub(crate) fn new(stored: usize) -> Result<Self> {
+        let world = World::new(DIM, MENTOR, 0.0);
+        let settings = config::Mentor::default();
+        let demonstration = world.demonstration(MENTOR)?;
+        Ok(Self {
+            mentor: Mentor::new(&demonstration, &settings, Algo::HaDiiqn, &world.spec(), stored, 1)?,
+            walk: world.walk(),
+            batch: Batch::default(),
+            observed: Observed::default(),
+            index: 0,
+        })
+    }
+
+    /// Has the observer take [`BATCH`] steps and hands them over. Returns them with the answer.
+    pub(crate) fn observe(&mut self) -> Result<(&Batch, &Observed)> {
+        let header = BatchHeader { count: BATCH, obs_dim: DIM as u32, ..BatchHeader::default() };
+        self.walk.fill(header, &mut self.batch);
+        self.mentor.observe(self.index, 0, &self.batch, &mut self.observed)?;
+        self.index += u64::from(BATCH);
+        Ok((&self.batch, &self.observed))
+    }
+}

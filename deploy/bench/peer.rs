@@ -1,0 +1,163 @@
+//! The other end of [`super::exchange`]: an actor that sends what it has had ready from the start, and a mentor-server
+//! that knows no mentor state.
+
+use super::cases::walk::{Walk, World};
+use super::exchange::socket;
+use anyhow::{Result, bail};
+use bytemuck::{bytes_of, bytes_of_mut, cast_slice, cast_slice_mut};
+use nix::unistd::getppid;
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use trestle_proto::NONE;
+use trestle_proto::batch::{Batch, BatchHeader, words};
+use trestle_proto::limits::WAIT_SLICE;
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{QueryAnswer, QueryRequest, UNKNOWN_OP};
+use trestle_proto::rundir::RunDir;
+use trestle_proto::tick::Tick;
+use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
+use trestle_proto::transport::{ActorLink, MentorHandler, MentorLink};
+use trestle_proto::weights::WeightsHeader;
+
+/// Serves the benchmark whose plan lies in `dir` until its process is gone. `burst`: batches that an actor sends a tick.
+pub(crate) fn run(role: &str, dir: &Path, index: u32, burst: u32) -> Result<()> {
+    let plan = RunDir::new(dir).read_plan()?;
+    let benchmark = getppid();
+    let stop = move || getppid() != benchmark;
+    match role {
+        "actor" => {
+            let link = IceoryxActor::new(&Domain::of(plan.run), &plan, index)?;
+            act(link, &mut Actor::new(&plan, index), burst, &stop)
+        }
+        "mentor-server" => {
+            let mut link = IceoryxMentor::new(&Domain::of(plan.run), &plan)?;
+            link.hello(&mut Ignorant, &stop)?;
+            while !stop() {
+                link.serve(&mut Ignorant, WAIT_SLICE)?;
+            }
+            Ok(())
+        }
+        "socket-actor" => until_closed(act_by_socket(socket(dir).as_path(), &plan, index, burst)),
+        "socket-mentor-server" => until_closed(answer_by_socket(socket(dir).as_path(), &plan)),
+        _ => bail!("bench-peer {role}; accepted: actor, mentor-server, socket-actor, socket-mentor-server"),
+    }
+}
+
+/// What an actor keeps ready.
+struct Actor {
+    index: u32,
+    walk: Walk,
+    batch: Batch,
+    params: Vec<f32>,
+    sizes: Vec<u32>,
+}
+
+impl Actor {
+    fn new(plan: &RunPlan, index: u32) -> Self {
+        let sizes = plan.sizes();
+        Self {
+            index,
+            walk: World::new(plan.spec.obs_dim(), plan.mentor_len.max(2), 0.0).walk(),
+            batch: Batch::default(),
+            params: vec![0.0; sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum()],
+            sizes: sizes.iter().map(|&n| n as u32).collect(),
+        }
+    }
+
+    /// The batch for `tick`. Its content is made once for each size: making it is not what is measured.
+    fn answer(&mut self, tick: &Tick) -> &Batch {
+        let header = BatchHeader {
+            run: tick.run,
+            tick: tick.tick,
+            weights_version: tick.weights_version,
+            actor: self.index,
+            count: tick.amount,
+            obs_dim: self.walk.dim() as u32,
+            ..BatchHeader::default()
+        };
+        if self.batch.header.count == tick.amount {
+            self.batch.header = header;
+        } else {
+            self.walk.fill(header, &mut self.batch);
+        }
+        &self.batch
+    }
+}
+
+fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() -> bool) -> Result<()> {
+    link.hello(stop)?;
+    while !stop() {
+        let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
+        link.weights(tick.weights_version, &mut actor.params)?;
+        let batch = actor.answer(&tick);
+        for _ in 0..burst {
+            link.send_batch(batch)?;
+        }
+    }
+    Ok(())
+}
+
+fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<()> {
+    let mut learner = UnixStream::connect(path)?;
+    let mut actor = Actor::new(plan, index);
+    let (mut version, mut received) = (0, actor.params.clone());
+    loop {
+        let mut tick = Tick::default();
+        learner.read_exact(bytes_of_mut(&mut tick))?;
+        tick.validate(plan.run)?;
+        if tick.weights_version != version {
+            version = tick.weights_version;
+            let mut header = WeightsHeader::default();
+            learner.read_exact(bytes_of_mut(&mut header))?;
+            learner.read_exact(cast_slice_mut(&mut received))?;
+            header.receive(plan.run, &actor.sizes, &received, &mut actor.params)?;
+        }
+        let batch = actor.answer(&tick);
+        for _ in 0..burst {
+            learner.write_all(bytes_of(&batch.header))?;
+            learner.write_all(cast_slice(batch.payload()))?;
+        }
+    }
+}
+
+fn answer_by_socket(path: &Path, plan: &RunPlan) -> Result<()> {
+    let mut learner = UnixStream::connect(path)?;
+    let (mut payload, mut out) = (Vec::new(), Vec::new());
+    loop {
+        let mut request = ObserveRequest::default();
+        learner.read_exact(bytes_of_mut(&mut request))?;
+        payload.resize(words(request.count as usize, plan.spec.obs_dim()), 0);
+        learner.read_exact(cast_slice_mut(&mut payload))?;
+        out.clear();
+        let answer = Ignorant.observe(&request, &payload, &mut out);
+        learner.write_all(bytes_of(&answer))?;
+        learner.write_all(cast_slice(&out))?;
+    }
+}
+
+/// The benchmark closes its sockets when it is done.
+fn until_closed(outcome: Result<()>) -> Result<()> {
+    match outcome {
+        Err(error) => match error.downcast_ref::<std::io::Error>() {
+            Some(io) if matches!(io.kind(), ErrorKind::UnexpectedEof | ErrorKind::BrokenPipe) => Ok(()),
+            _ => Err(error),
+        },
+        Ok(()) => Ok(()),
+    }
+}
+
+/// Finds no observation similar to anything.
+struct Ignorant;
+
+impl MentorHandler for Ignorant {
+    fn observe(&mut self, request: &ObserveRequest, _: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
+        out.resize(request.count as usize, NONE);
+        ObserveAnswer { first_index: request.first_index, count: request.count, ..ObserveAnswer::default() }
+    }
+
+    fn query(&mut self, _: &QueryRequest, _: &[f32], _: &mut Vec<u32>) -> QueryAnswer {
+        QueryAnswer { status: UNKNOWN_OP, count: 0 }
+    }
+}

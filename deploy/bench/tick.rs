@@ -1,0 +1,100 @@
+//! `tick`, `message`, `weights`: what the processes of a run pay for being processes. The peers do no work of their
+//! own, so that all of a tick's time is overhead; it is wall time, as it is the waiting that counts.
+
+use super::Effort;
+use super::clock::median;
+use super::exchange::{Exchange, Setup, both};
+use super::report::Row;
+use anyhow::Result;
+use std::time::Instant;
+
+/// Ticks in a row on one transport before it is the other's turn.
+const BLOCK: usize = 50;
+/// Turns: as many as figures need, and for a quick look.
+const BLOCKS: [usize; 2] = [20, 1];
+const WARM_UP: usize = 100;
+/// Batches that are sent in one go in `message`: fewer than may wait for the learner.
+const BURST: u32 = 32;
+
+/// The medians of a tick's time over shared memory and over sockets, microseconds.
+fn pair(
+    exchanges: &mut [Box<dyn Exchange>; 2],
+    amount: u32,
+    publish: bool,
+    effort: Effort,
+) -> Result<[f64; 2]> {
+    let mut samples = [const { Vec::new() }; 2];
+    for exchange in exchanges.iter_mut() {
+        (0..WARM_UP).try_for_each(|_| exchange.tick(amount, publish))?;
+    }
+    for _ in 0..effort.pick(BLOCKS[0], BLOCKS[1]) {
+        for (exchange, samples) in exchanges.iter_mut().zip(&mut samples) {
+            for _ in 0..BLOCK {
+                let start = Instant::now();
+                exchange.tick(amount, publish)?;
+                samples.push(start.elapsed().as_secs_f64() * 1e6);
+            }
+        }
+    }
+    Ok(samples.map(median))
+}
+
+/// A whole tick: weights, tick, batches, the mentor-server's answers.
+pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for actors in [1, 2, 4] {
+        let mut exchanges = both(Setup { actors, rollout: 32, burst: 1, mentor: true })?;
+        for rollout in [1, 8, 32] {
+            let [us, socket_us] = pair(&mut exchanges, rollout, true, effort)?;
+            rows.push(
+                Row::new()
+                    .with("actors", actors)
+                    .with("rollout", rollout)
+                    .measured("us", us)
+                    .measured("socket_us", socket_us)
+                    .measured("ratio", us / socket_us),
+            );
+        }
+    }
+    Ok(rows)
+}
+
+/// Batches in bursts from one actor.
+pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
+    let mut exchanges = both(Setup { actors: 1, rollout: 256, burst: BURST, mentor: false })?;
+    let mut rows = Vec::new();
+    for batch in [32, 256] {
+        let each = |us: f64| us * 1e3 / f64::from(batch * BURST);
+        let [ns, socket_ns] = pair(&mut exchanges, batch, false, effort)?.map(each);
+        rows.push(
+            Row::new()
+                .with("batch", batch)
+                .measured("ns", ns)
+                .measured("socket_ns", socket_ns)
+                .measured("ratio", ns / socket_ns),
+        );
+    }
+    Ok(rows)
+}
+
+/// What a publication of weights adds to a tick of one transition without a mentor-server, until the last actor has
+/// its copy, checked, and has answered.
+pub(super) fn weights(effort: Effort) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for subscribers in [1, 4] {
+        let mut exchanges = both(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false })?;
+        let with = pair(&mut exchanges, 1, true, effort)?;
+        let without = pair(&mut exchanges, 1, false, effort)?;
+        let [us, socket_us] = [0, 1].map(|way| with[way] - without[way]);
+        rows.push(
+            Row::new()
+                .with("subscribers", subscribers)
+                .measured("us", us)
+                .measured("socket_us", socket_us)
+                .measured("ratio", us / socket_us)
+                .measured("tick_us", with[0])
+                .measured("socket_tick_us", with[1]),
+        );
+    }
+    Ok(rows)
+}

@@ -1,0 +1,93 @@
+//! `trestle bench`: one JSON object a benchmark, with the columns that others rely on. What it measures is not looked at
+//! beyond being there: `--quick` figures say nothing.
+
+use crate::util::{Place, trestle};
+use serde_json::Value;
+
+/// The rows of a benchmark, each of which has all of `numbers` above 0.
+fn rows(name: &str, numbers: &[&str]) -> Vec<Value> {
+    let _place = Place::new();
+    let outcome = trestle(&["bench", name, "--json", "--quick"]).ok();
+    let report: Value = serde_json::from_str(&outcome.stdout).unwrap();
+    let mut keys: Vec<&String> = report.as_object().unwrap().keys().collect();
+    keys.sort();
+    assert_eq!(keys, ["machine", "name", "rows"], "{report}");
+    assert_eq!(report["name"], name);
+    assert!(report["machine"]["cores"].as_u64().unwrap() > 0, "{report}");
+    let rows = report["rows"].as_array().unwrap().clone();
+    assert!(!rows.is_empty(), "{report}");
+    for row in &rows {
+        for key in numbers {
+            assert!(row[key].as_f64().unwrap() > 0.0, "{key} of {row}");
+        }
+    }
+    rows
+}
+
+/// How many different values the rows have under `key`.
+fn distinct(rows: &[Value], key: &str) -> usize {
+    let mut values: Vec<String> = rows.iter().map(|row| row[key].to_string()).collect();
+    values.sort();
+    values.dedup();
+    values.len()
+}
+
+#[test]
+fn a_gradient_step_beside_its_limit() {
+    let rows = rows("step", &["batch", "us", "limit_us"]);
+    let found = |hidden: [u64; 2], batch: u64| {
+        rows.iter().any(|row| {
+            row["hidden"] == serde_json::json!(hidden) && row["batch"] == batch && row["isa"] == "scalar"
+        })
+    };
+    for (hidden, batch) in [([64, 64], 32), ([128, 128], 64), ([256, 256], 128)] {
+        assert!(found(hidden, batch), "{hidden:?} {batch}: {rows:?}");
+    }
+    let isas = trestle_qnet::Isa::available().count();
+    assert_eq!(distinct(&rows, "isa"), isas, "{rows:?}");
+}
+
+#[test]
+fn functions() {
+    let infer = rows("infer", &["us"]);
+    assert!(infer.iter().all(|row| row["hidden"].is_array() && row["isa"].is_string()), "{infer:?}");
+    let replay = rows("replay", &["dim", "stored", "ns"]);
+    assert_eq!(distinct(&replay, "op"), 2, "{replay:?}");
+    let mentor = rows("mentor", &["dim", "mentor", "ns"]);
+    for row in &mentor {
+        assert!(["similar", "infer", "bridge"].iter().any(|op| row["op"] == *op), "{row}");
+        assert!(row["stored"].is_u64(), "{row}");
+        let naive = &row["naive_ns"];
+        assert!(naive.is_null() || naive.as_f64().unwrap() > 0.0, "{row}");
+    }
+    assert_eq!(distinct(&mentor, "op"), 3, "{mentor:?}");
+}
+
+#[test]
+fn messages() {
+    let tick = rows("tick", &["actors", "rollout", "us", "socket_us"]);
+    assert!(distinct(&tick, "actors") > 1 && distinct(&tick, "rollout") > 1, "{tick:?}");
+    rows("message", &["batch", "ns", "socket_ns"]);
+    // The difference of two medians of few samples may well be negative.
+    let weights = rows("weights", &["subscribers", "tick_us", "socket_tick_us"]);
+    assert!(weights.iter().all(|row| row["us"].is_f64() && row["socket_us"].is_f64()), "{weights:?}");
+}
+
+#[test]
+fn whole_runs() {
+    let rows = rows("loop", &["env_steps", "steps_per_s"]);
+    for algo in ["dqn", "ha-diiqn"] {
+        for mode in ["reference", "lockstep"] {
+            assert!(rows.iter().any(|row| row["algo"] == algo && row["mode"] == mode), "{rows:?}");
+        }
+    }
+}
+
+#[test]
+fn a_table_for_people() {
+    let outcome = trestle(&["bench", "replay", "--quick"]).ok();
+    let lines: Vec<&str> = outcome.stdout.lines().collect();
+    assert!(lines[0].starts_with("replay  ("), "{outcome:?}");
+    assert!(lines[1].contains("stored") && lines.len() > 3, "{outcome:?}");
+    trestle(&["bench", "nothing"]).refused(&["nothing", "step"]);
+}
