@@ -78,6 +78,7 @@ pub fn run(
         awaited: 0,
         observed: Observed::default(),
         snapshots: vec![None; actors],
+        snapshots_of: 0,
         behaviour,
         stop,
     }
@@ -94,8 +95,9 @@ struct Lockstep<'a, L> {
     /// The tick whose batches may come.
     awaited: u64,
     observed: Observed,
-    /// The snapshots that have come since they were asked for.
+    /// The snapshots that have come since they were asked for, and the tick that they were asked for after.
     snapshots: Vec<Option<Vec<u8>>>,
+    snapshots_of: u64,
     /// What the actors act with where it is not the agent's newest: until the first publication of a resumed run, and
     /// for the checkpoint that is being taken.
     behaviour: Option<Vec<f32>>,
@@ -167,6 +169,8 @@ impl<L: LearnerLink> Lockstep<'_, L> {
             // With a lag the agent learns on before the checkpoint is written.
             let older = version < tick;
             self.behaviour = older.then(|| self.session.agent().weights().to_vec());
+            self.snapshots.fill(None);
+            self.snapshots_of = tick;
             self.link.send_tick(&self.session.snapshot(tick))?;
         }
         if leaving { Ok(()) } else { self.send_collect(tick + 1, version) }
@@ -212,11 +216,15 @@ impl<L: LearnerLink> Lockstep<'_, L> {
                 let evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
                 Ok(self.session.evaluated(&evaluation)?)
             }
-            ACTOR_STATE => {
+            ACTOR_STATE if reply.header.tick == self.snapshots_of => {
                 self.snapshots[actor as usize] = Some(reply.payload);
                 Ok(())
             }
-            kind => Err(LinkError::Unexpected(format!("a reply of kind {kind} from actor {actor}")).into()),
+            kind => {
+                let tick = reply.header.tick;
+                let text = format!("a reply of kind {kind} to tick {tick} from actor {actor}");
+                Err(LinkError::Unexpected(text).into())
+            }
         }
     }
 

@@ -5,7 +5,7 @@
 //! Every decision depends on counts alone; the clock only paces what people look at.
 
 use crate::agent::{Agent, AgentError, TrainStats};
-use crate::checkpoint::{self, CheckpointError, Cut};
+use crate::checkpoint::{self, CheckpointError, Cut, Saver};
 use crate::record::{
     Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, Outcome, PROGRESS_EVERY, Progress, RecordError,
     Recorder, RecorderState, RunResult, Settings,
@@ -39,6 +39,16 @@ pub enum SessionError {
     /// The session's own part of a checkpoint.
     #[error(transparent)]
     Codec(#[from] CodecError),
+    /// An evaluation whose environment gave a reward that is no number.
+    #[error("episode {episode} of evaluation {evaluation} has a return of {found}; accepted: finite numbers")]
+    Return {
+        /// Number of the evaluation.
+        evaluation: u64,
+        /// Which of its episodes.
+        episode: usize,
+        /// The return.
+        found: f64,
+    },
     /// An evaluation that nobody has asked for.
     #[error("evaluation {found} came; {expected} is due")]
     Evaluation {
@@ -52,9 +62,9 @@ pub enum SessionError {
 /// A training run between its first and its last tick.
 pub struct Session<'a> {
     plan: &'a RunPlan,
-    dir: &'a RunDir,
     agent: Agent,
     recorder: Recorder,
+    saver: Saver,
     /// The last tick that has been trained on.
     tick: u64,
     /// Number of the next evaluation.
@@ -94,15 +104,15 @@ impl<'a> Session<'a> {
     /// The beginning of `plan`'s run. `progress` is called a few times a second.
     pub fn new(
         plan: &'a RunPlan,
-        dir: &'a RunDir,
+        dir: &RunDir,
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Self, SessionError> {
         Ok(Self {
             plan,
-            dir,
             agent: Agent::new(plan, mentor)?,
             recorder: Recorder::create(dir.root(), settings(plan))?,
+            saver: Saver::new(dir.root()),
             tick: 0,
             evaluations: 0,
             due: None,
@@ -118,7 +128,7 @@ impl<'a> Session<'a> {
     /// Goes on after checkpoint `tick` of the run's directory.
     pub fn resume(
         plan: &'a RunPlan,
-        dir: &'a RunDir,
+        dir: &RunDir,
         tick: u64,
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
@@ -128,9 +138,9 @@ impl<'a> Session<'a> {
         let counters = loaded.agent.counters();
         let session = Self {
             plan,
-            dir,
             agent: loaded.agent,
             recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
+            saver: Saver::after(dir.root(), tick)?,
             tick: loaded.tick,
             evaluations: state.evaluations,
             due: state.due,
@@ -211,6 +221,7 @@ impl<'a> Session<'a> {
 
     /// Takes the gradient steps that the transitions of tick `number` make due, and decides whether an evaluation is.
     pub fn train(&mut self, number: u64) -> Result<(), SessionError> {
+        self.saver.poll()?;
         self.stats.merge(&self.agent.train()?);
         self.tick = number;
         let now = self.agent.counters();
@@ -257,6 +268,12 @@ impl<'a> Session<'a> {
             let expected = self.ordered.map_or("none".into(), |_| self.evaluations.to_string());
             return Err(SessionError::Evaluation { found: evaluation.evaluation, expected });
         };
+        for (episode, played) in evaluation.episodes.iter().enumerate() {
+            if !played.total_reward.is_finite() {
+                let (evaluation, found) = (evaluation.evaluation, played.total_reward);
+                return Err(SessionError::Return { evaluation, episode, found });
+            }
+        }
         let episodes: Vec<Episode> = evaluation
             .episodes
             .iter()
@@ -286,23 +303,22 @@ impl<'a> Session<'a> {
     }
 
     /// Takes a checkpoint after the last trained tick. `behaviour`: the weights that actors act with in the next tick,
-    /// where they are not the newest; `actors`: their snapshots, in order.
+    /// where they are not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
     pub fn checkpoint(&mut self, behaviour: Option<&[f32]>, actors: &[Vec<u8>]) -> Result<(), SessionError> {
-        let state = State {
-            recorder: self.recorder.checkpoint()?,
-            evaluations: self.evaluations,
-            due: self.due,
-            evaluated_at: self.evaluated_at,
-        };
+        let start = Instant::now();
+        let (recorder, records) = self.recorder.checkpoint()?;
+        let state =
+            State { recorder, evaluations: self.evaluations, due: self.due, evaluated_at: self.evaluated_at };
         let run = codec::encode(KIND, &state)?;
         let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
-        let path = checkpoint::write(self.dir.root(), &cut)?;
-        tracing::info!(path = %path.display(), "checkpoint");
+        self.saver.save(&cut, records)?;
+        tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");
         Ok(())
     }
 
-    /// Ends the record and writes the result.
+    /// Waits for the last checkpoint, ends the record and writes the result.
     pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
+        self.saver.wait()?;
         self.show_progress();
         let gauges = self.gauges();
         let restarts = self.plan.restarts;

@@ -1,65 +1,57 @@
-//! Files with a checksum that is computed while they are written or read, and the sync calls.
+//! Files with a checksum that is computed when they are written or read, and the sync calls.
 
 use super::error::{CheckpointError, io};
 use super::manifest::FileEntry;
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::Path;
 use trestle_proto::pulse;
+
+/// Bytes between two signs of progress of a writer.
+const PIECE: usize = 1 << 20;
 
 /// Counts and checksums what passes through.
 #[derive(Debug)]
 pub(super) struct Checked<F> {
     inner: F,
-    bytes: u64,
     crc: u32,
-}
-
-impl<F> Checked<F> {
-    fn new(inner: F) -> Self {
-        Self { inner, bytes: 0, crc: 0 }
-    }
-
-    fn note(&mut self, passed: &[u8]) {
-        pulse::step();
-        self.bytes += passed.len() as u64;
-        self.crc = crc32c::crc32c_append(self.crc, passed);
-    }
-}
-
-impl<F: Write> Write for Checked<F> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        let written = self.inner.write(bytes)?;
-        self.note(&bytes[..written]);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.inner.flush()
-    }
 }
 
 impl<F: Read> Read for Checked<F> {
     fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
         let read = self.inner.read(into)?;
-        self.note(&into[..read]);
+        self.crc = crc32c::crc32c_append(self.crc, &into[..read]);
+        pulse::step();
         Ok(read)
     }
 }
 
 /// Writes the new file `name` in `dir`, syncs it, and says what the MANIFEST needs to know of it.
-pub(super) fn write(
-    dir: &Path,
-    name: &str,
-    contents: impl FnOnce(&mut Checked<File>) -> std::io::Result<()>,
-) -> Result<FileEntry, CheckpointError> {
+pub(super) fn write(dir: &Path, name: &str, bytes: &[u8]) -> Result<FileEntry, CheckpointError> {
     let path = dir.join(name);
     let fault = io(&path, "write");
-    let file = OpenOptions::new().write(true).create_new(true).open(&path).map_err(&fault)?;
-    let mut file = Checked::new(file);
-    contents(&mut file).map_err(&fault)?;
-    file.inner.sync_all().map_err(&fault)?;
-    Ok(FileEntry { name: name.into(), bytes: file.bytes, crc32c: file.crc })
+    let mut file = OpenOptions::new().write(true).create_new(true).open(&path).map_err(&fault)?;
+    for piece in bytes.chunks(PIECE) {
+        file.write_all(piece).map_err(&fault)?;
+        pulse::step();
+    }
+    file.sync_all().map_err(&fault)?;
+    Ok(FileEntry { name: name.into(), bytes: bytes.len() as u64, crc32c: crc32c::crc32c(bytes) })
+}
+
+/// Gives the file `entry` of the checkpoint in `from` to that in `to` as well: as a second link to the same file or,
+/// where the file system has none, as a copy.
+pub(super) fn link(from: &Path, to: &Path, entry: &FileEntry) -> Result<(), CheckpointError> {
+    let (from, path) = (from.join(&entry.name), to.join(&entry.name));
+    if fs::hard_link(&from, &path).is_ok() {
+        return Ok(());
+    }
+    let bytes = fs::read(&from).map_err(io(&from, "read"))?;
+    let copy = write(to, &entry.name, &bytes)?;
+    if copy.crc32c == entry.crc32c {
+        return Ok(());
+    }
+    Err(CheckpointError::Checksum { path: from, found: copy.crc32c, expected: entry.crc32c })
 }
 
 /// Makes sure that the entries of `dir` survive a power cut.
@@ -81,7 +73,7 @@ pub(super) fn read<R>(
     if found != entry.bytes {
         return Err(CheckpointError::Size { path, found, expected: entry.bytes });
     }
-    let mut file = Checked::new(file);
+    let mut file = Checked { inner: file, crc: 0 };
     let result = contents(&mut file);
     let mut rest = [0; 1 << 16];
     while file.read(&mut rest).map_err(&fault)? > 0 {}

@@ -3,6 +3,7 @@
 use super::error::{CheckpointError, contents, io};
 use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST};
 use crate::record::Counters;
+use crate::replay::Span;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs;
@@ -12,7 +13,7 @@ use trestle_proto::config::{Checkpoint, Eval, Mode, Supervise};
 use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 /// Largest MANIFEST or COMPLETE that is read, bytes.
 const MAX_BYTES: u64 = 1 << 16;
 
@@ -66,6 +67,14 @@ impl Manifest {
         self.files.iter().find(|entry| entry.name == name)
     }
 
+    /// The replay's segments, in order.
+    pub(super) fn segments(&self) -> Vec<(Span, &FileEntry)> {
+        let mut segments: Vec<_> =
+            self.files.iter().filter_map(|entry| Some((Span::of_name(&entry.name)?, entry))).collect();
+        segments.sort_by_key(|(span, _)| *span);
+        segments
+    }
+
     /// As the bytes of a file.
     pub(super) fn encode(&self) -> Result<Vec<u8>, serde_json::Error> {
         let mut bytes = serde_json::to_vec_pretty(self)?;
@@ -79,7 +88,8 @@ impl Manifest {
             return refuse(format!("format {} of version {}; accepted: {FORMAT}", self.format, self.version));
         }
         for (at, entry) in self.files.iter().enumerate() {
-            let known = FILES.contains(&entry.name.as_str()) || entry.name == BEHAVIOUR;
+            let name = entry.name.as_str();
+            let known = FILES.contains(&name) || name == BEHAVIOUR || Span::of_name(name).is_some();
             if !known || self.files[..at].iter().any(|other| other.name == entry.name) {
                 return refuse(format!("file {:?} is unknown or named twice", entry.name));
             }

@@ -7,7 +7,8 @@
 //!     target.safetensors              target parameters, likewise
 //!     optimizer.safetensors           Adam: m.layers.0.weight, ..., v.layers.0.weight, ..., step [1]
 //!     behaviour.safetensors           only if the actors still act with older parameters (run.lag = 1)
-//!     replay.bin                      transitions, mentor indices, past values
+//!     replay.bin                      what changes in the replay: past values, and how many transitions there are
+//!     replay-<first>-<end>.bin        stored transitions with these numbers, 12 digits each, and their mentor indices
 //!     annotations.bin                 a record for each mentor transition
 //!     agent.bin                       counters, random streams, running episodes, training counts
 //!     actors.bin                      what each actor gave of itself
@@ -15,6 +16,11 @@
 //!     MANIFEST                        JSON: format, version, tick, configuration, size and CRC-32C of each file
 //!     COMPLETE                        CRC-32C of MANIFEST; written last
 //! ```
+//!
+//! Taking one costs the run no more than a copy of what is new ([`Saver`]): a thread writes it while training goes on. Stored
+//! transitions do not change, so the segments of the replay that were full at the checkpoint before are not written again
+//! but linked: successive checkpoints have these files in common, and a file goes with the last checkpoint that has it. The
+//! other side of that: damage to a shared segment is damage to all of them.
 //!
 //! A checkpoint is written into a directory beside its final place. Every file and the directory are synced, the
 //! directory is renamed, and only then COMPLETE is written and synced. What a kill leaves behind at any point has
@@ -27,13 +33,15 @@ mod error;
 mod file;
 mod manifest;
 mod read;
+mod saver;
 mod tensors;
 mod write;
 
 pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
 pub use read::{Loaded, load, load_actors, load_model, newest_complete, newest_resumable};
-pub use write::{Cut, write};
+pub use saver::Saver;
+pub use write::{Cut, Unsynced};
 
 use std::path::{Path, PathBuf};
 
@@ -53,7 +61,7 @@ const ANNOTATIONS: &str = "annotations.bin";
 const AGENT: &str = "agent.bin";
 const ACTORS: &str = "actors.bin";
 const RUN: &str = "run.bin";
-/// The files of every checkpoint beside MANIFEST and COMPLETE; BEHAVIOUR may come on top.
+/// The files of every checkpoint beside MANIFEST and COMPLETE; BEHAVIOUR and the replay's segments come on top.
 const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
 /// Beginning of the name of a directory that is being written or removed.
 const SCRATCH: &str = ".scratch-";

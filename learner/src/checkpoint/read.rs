@@ -6,7 +6,7 @@ use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, RUN_KIND};
 use super::{ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, TARGET};
 use super::{directory, file, tensors, ticks};
 use crate::agent::{Agent, AgentState, Parts};
-use crate::replay::Bounds;
+use crate::replay::{Bounds, Replay, Span};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use trestle_proto::codec::{self, Kind};
@@ -108,9 +108,7 @@ pub fn load(
         mentor_len: plan.mentor_len,
         actors: plan.config.run.actors,
     };
-    file::read(dir, entry(dir, &manifest, REPLAY)?, |file| {
-        agent.replay_mut().read(file, &bounds).map_err(contents(&dir.join(REPLAY)))
-    })?;
+    replay(dir, &manifest, agent.replay_mut(), &bounds)?;
     let layout = agent.network().layout();
     let optimizer = file::read_all(dir, entry(dir, &manifest, OPTIMIZER)?)?;
     let parts = Parts {
@@ -130,6 +128,26 @@ pub fn load(
         actors: frame(dir, &manifest, ACTORS, ACTORS_KIND)?,
         run: frame(dir, &manifest, RUN, RUN_KIND)?,
     })
+}
+
+/// Reads the replay, head and segments, into `replay`, which is of the same sizes.
+fn replay(
+    dir: &Path,
+    manifest: &Manifest,
+    replay: &mut Replay,
+    bounds: &Bounds,
+) -> Result<(), CheckpointError> {
+    let fault = contents(&dir.join(REPLAY));
+    file::read(dir, entry(dir, manifest, REPLAY)?, |file| replay.read_head(file).map_err(&fault))?;
+    let segments = manifest.segments();
+    let spans: Vec<Span> = segments.iter().map(|(span, _)| *span).collect();
+    replay.check_segments(&spans).map_err(&fault)?;
+    for (span, entry) in segments {
+        file::read(dir, entry, |file| {
+            replay.read_segment(span, file).map_err(contents(&dir.join(&entry.name)))
+        })?;
+    }
+    replay.check(bounds).map_err(&fault)
 }
 
 /// The online parameters of the checkpoint in `dir` alone, of a network of `layout`.

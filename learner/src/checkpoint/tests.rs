@@ -4,6 +4,7 @@
 
 use super::*;
 use crate::agent::Agent;
+use crate::replay::Span;
 use crate::testing::{World, demonstration, plan};
 use proptest::prelude::*;
 use std::fs;
@@ -27,24 +28,29 @@ fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
     let mut agent = Agent::new(plan, demonstration(plan)).unwrap();
     let mut world = World::new(plan, 3);
     let mut now = 0;
+    let mut saver = Saver::new(dir.path());
     for &tick in ticks {
         live(&mut agent, &mut world, plan.config.run.actors, (tick - now) as usize);
         now = tick;
-        save(dir.path(), plan, tick, &agent).unwrap();
+        save(&mut saver, plan, tick, &agent).unwrap();
     }
     (dir, agent)
 }
 
-fn save(run_dir: &Path, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<PathBuf, CheckpointError> {
+fn save(saver: &mut Saver, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<(), CheckpointError> {
     let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
     let weights = agent.weights().iter().map(|w| w + 1.0).collect::<Vec<_>>();
-    write(run_dir, &Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run })
+    saver.save(&Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run }, Vec::new())?;
+    saver.wait()
 }
 
 /// Everything of an agent that decides what it does next.
 fn everything(agent: &Agent) -> (String, crate::agent::AgentState, trestle_qnet::Adam, Vec<u32>, Vec<u8>) {
     let mut replay = Vec::new();
-    agent.replay().write(&mut replay).unwrap();
+    replay.extend(agent.replay().head());
+    for (span, _) in agent.replay().segments(&[]) {
+        replay.extend(agent.replay().segment(span));
+    }
     let target = agent.network().with_params(|_, target| target.to_vec()).unwrap();
     replay.extend_from_slice(bytemuck::cast_slice(&target));
     (agent.weights_sha256(), agent.state(), agent.adam().clone(), agent.annotation_records(), replay)
@@ -73,7 +79,8 @@ proptest! {
         let mut world = World::new(&plan, seed);
         live(&mut agent, &mut world, 2, before);
         let run_dir = tempfile::tempdir().unwrap();
-        let dir = save(run_dir.path(), &plan, before as u64, &agent).unwrap();
+        save(&mut Saver::new(run_dir.path()), &plan, before as u64, &agent).unwrap();
+        let dir = directory(run_dir.path(), before as u64);
         let loaded = load(&dir, &plan, demonstration(&plan)).unwrap();
         prop_assert_eq!((loaded.tick, loaded.run.as_slice()), (before as u64, &b"loop"[..]));
         prop_assert_eq!(loaded.actors, [vec![1, 2, 250], vec![]]);
@@ -94,7 +101,7 @@ proptest! {
     }
 
     /// Any file of a checkpoint, cut short, made longer or with one bit flipped, is refused with its name, and an
-    /// older checkpoint is found instead.
+    /// older checkpoint is found instead, if it does not have the file as well.
     #[test]
     fn every_fault_is_found(
         file in any::<prop::sample::Index>(), at in any::<prop::sample::Index>(), bit in 0u8..8, how in 0..4,
@@ -104,7 +111,8 @@ proptest! {
         let dir = directory(run_dir.path(), 6);
         let mut names: Vec<_> = fs::read_dir(&dir).unwrap().map(|e| e.unwrap().file_name()).collect();
         names.sort();
-        prop_assert_eq!(names.len(), 11);
+        let segments = names.iter().filter(|name| Span::of_name(name.to_str().unwrap()).is_some()).count();
+        prop_assert!(segments > 1 && names.len() == 11 + segments);
         let path = dir.join(&names[file.index(names.len())]);
         let mut bytes = fs::read(&path).unwrap();
         let at = at.index(bytes.len());
@@ -119,7 +127,11 @@ proptest! {
         // A damaged MANIFEST is noticed by COMPLETE.
         let named = names.iter().any(|name| fault.contains(&*dir.join(name).to_string_lossy()));
         prop_assert!(named, "{}", fault);
-        prop_assert_eq!(newest_complete(run_dir.path()).unwrap(), Some((4, directory(run_dir.path(), 4))));
+        let older = directory(run_dir.path(), 4);
+        let shared = how != 3 && older.join(path.file_name().unwrap()).exists()
+            && Span::of_name(path.file_name().unwrap().to_str().unwrap()).is_some();
+        let found = newest_complete(run_dir.path()).unwrap();
+        prop_assert_eq!(found, (!shared).then_some((4, older)));
     }
 }
 
@@ -149,12 +161,12 @@ fn the_newest_whole_checkpoint_is_found_and_only_so_many_are_kept() {
     assert!(matches!(fault, CheckpointError::Incomplete { .. }), "{fault}");
 
     // Written again it replaces the unfinished one and clears up.
-    save(dir.path(), &plan, 8, &agent).unwrap();
+    save(&mut Saver::new(dir.path()), &plan, 8, &agent).unwrap();
     assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 8);
     assert_eq!(there(), ["+00000000010", "000000000005", "000000000008", "notes"]);
     // A sound one stays as it is.
     let before = fs::metadata(directory(dir.path(), 8).join(MODEL)).unwrap().modified().unwrap();
-    save(dir.path(), &plan, 8, &agent).unwrap();
+    save(&mut Saver::new(dir.path()), &plan, 8, &agent).unwrap();
     assert_eq!(fs::metadata(directory(dir.path(), 8).join(MODEL)).unwrap().modified().unwrap(), before);
 }
 
@@ -219,4 +231,60 @@ fn tensors_are_named_by_layer() {
     // Row i, column o is the weight from input i to output o.
     let own = &agent.weights()[agent.network().layout().layers()[1].weights()];
     assert_eq!(weight.data()[4 * (2 * 7 + 3)..][..4], own[2 * 7 + 3].to_le_bytes());
+}
+
+/// A checkpoint writes what is new; going on from one leaves that so.
+#[test]
+fn full_segments_are_written_once() {
+    use std::os::unix::fs::MetadataExt;
+    let plan = plan(&["learner.replay=640", "checkpoint.keep=9"]);
+    let dir = tempfile::tempdir().unwrap();
+    let mut agent = Agent::new(&plan, demonstration(&plan)).unwrap();
+    let mut world = World::new(&plan, 3);
+    let mut saver = Saver::new(dir.path());
+    let inodes = |tick: u64| {
+        let files = fs::read_dir(directory(dir.path(), tick)).unwrap().map(|entry| entry.unwrap());
+        let segments = files.filter(|file| Span::of_name(file.file_name().to_str().unwrap()).is_some());
+        segments
+            .map(|file| (file.file_name(), file.metadata().unwrap().ino()))
+            .collect::<std::collections::BTreeMap<_, _>>()
+    };
+    // Over the ring's seam and back to the beginning of it.
+    for tick in (20..=240).step_by(20) {
+        live(&mut agent, &mut world, 1, 20);
+        save(&mut saver, &plan, tick, &agent).unwrap();
+        if tick == 100 {
+            saver = Saver::after(dir.path(), tick).unwrap();
+        }
+        if tick > 20 && newest_complete(dir.path()).unwrap().is_some() {
+            let (before, now) = (inodes(tick - 20), inodes(tick));
+            let shared = now.iter().filter(|(name, inode)| before.get(*name) == Some(inode)).count();
+            // A segment is 16 transitions, a step of this test 100; what was unfinished is written anew.
+            assert!(now.len() - shared <= 100 / 16 + 2, "{shared} of {} segments are shared", now.len());
+            assert!(shared + 8 >= before.len().min(640 / 16 - 8), "{shared} of {}", before.len());
+        }
+        let loaded = load(&directory(dir.path(), tick), &plan, demonstration(&plan)).unwrap();
+        assert!(everything(&loaded.agent) == everything(&agent), "tick {tick}");
+    }
+    // What somebody has removed is written again.
+    let gone = newest_complete(dir.path()).unwrap().unwrap().1;
+    fs::remove_dir_all(&gone).unwrap();
+    live(&mut agent, &mut world, 1, 1);
+    save(&mut saver, &plan, 241, &agent).unwrap();
+    let loaded = load(&directory(dir.path(), 241), &plan, demonstration(&plan)).unwrap();
+    assert!(everything(&loaded.agent) == everything(&agent));
+}
+
+/// What cannot be written is reported by whoever takes the next checkpoint, or waits for this one.
+#[test]
+fn a_failure_to_write_is_reported() {
+    let plan = plan(&[]);
+    let (dir, agent) = run(&plan, &[6]);
+    let checkpoints = dir.path().join(CHECKPOINTS_DIR);
+    fs::remove_dir_all(&checkpoints).unwrap();
+    fs::write(&checkpoints, b"in the way").unwrap();
+    let mut saver = Saver::new(dir.path());
+    let fault = save(&mut saver, &plan, 7, &agent).unwrap_err().to_string();
+    assert!(fault.contains("checkpoints"), "{fault}");
+    saver.wait().unwrap();
 }

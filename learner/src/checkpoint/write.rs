@@ -1,4 +1,4 @@
-//! Writing a checkpoint, and removing those that are no longer kept.
+//! Copying a cut, writing the copy, and removing the checkpoints that are no longer kept.
 
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint};
@@ -8,9 +8,10 @@ use super::{
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use crate::agent::Agent;
+use crate::replay::Span;
 use serde::Serialize;
-use std::fs;
-use std::io::{ErrorKind, Write};
+use std::fs::{self, File};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use trestle_proto::codec::{self, Kind, MAX_BODY};
 use trestle_proto::plan::RunPlan;
@@ -38,86 +39,172 @@ pub struct Cut<'a> {
     pub run: &'a [u8],
 }
 
-/// Writes `cut` into `run_dir` (which exists) as its newest checkpoint, and removes all but the newest
-/// `plan.config.checkpoint.keep` complete ones as well as what was left unfinished. Returns its directory.
-///
-/// If there is a sound checkpoint of the tick already, it is the same cut (runs are deterministic) and stays.
-/// Only one process may write into a run directory at a time.
-///
-/// # Errors
-/// The file system refuses, or a part is too large to be read back. Older checkpoints are untouched then.
-pub fn write(run_dir: &Path, cut: &Cut<'_>) -> Result<PathBuf, CheckpointError> {
-    let root = run_dir.join(CHECKPOINTS_DIR);
-    fs::create_dir_all(&root).map_err(io(&root, "create"))?;
-    remove_scratch(&root)?;
-    let dir = directory(run_dir, cut.tick);
-    let same = |found: &Manifest| found.tick == cut.tick && found.configuration == fingerprint(cut.plan);
-    if !read::verify(&dir).is_ok_and(|found| same(&found)) {
-        remove(&root, &dir)?;
-        let scratch = root.join(format!("{SCRATCH}{}", name_of(cut.tick)));
-        fs::create_dir(&scratch).map_err(io(&scratch, "create"))?;
-        let seal = write_files(&scratch, cut)?;
-        file::sync_dir(&scratch)?;
-        fs::rename(&scratch, &dir).map_err(io(&dir, "create"))?;
-        file::sync_dir(&root)?;
-        file::write(&dir, COMPLETE, |file| file.write_all(seal.as_bytes()))?;
-        file::sync_dir(&dir)?;
-    }
-    link_last(run_dir, cut.tick)?;
-    retain(run_dir, cut.tick, cut.plan.config.checkpoint.keep)?;
-    Ok(dir)
+/// A file of the run that must be on the disk before a checkpoint that counts on it is complete.
+#[derive(Debug)]
+pub struct Unsynced {
+    /// Where it is.
+    pub path: PathBuf,
+    /// It, with nothing left in a buffer of this process.
+    pub file: File,
 }
 
-/// Writes all files but COMPLETE, whose contents are returned.
-fn write_files(dir: &Path, cut: &Cut<'_>) -> Result<String, CheckpointError> {
-    let (agent, network) = (cut.agent, cut.agent.network());
-    let layout = network.layout();
-    let bytes = |name: &str, bytes: &[u8]| file::write(dir, name, |file| file.write_all(bytes));
-    let params = |name: &str, params: &[f32]| {
-        let encoded = tensors::encode_params(layout, params).map_err(contents(&dir.join(name)))?;
-        bytes(name, &encoded)
-    };
-    let agent_fault = |source| CheckpointError::Agent { path: dir.into(), source: Box::new(source) };
-    let (model, target) = network
-        .with_params(|online, target| (params(MODEL, online), params(TARGET, target)))
-        .map_err(|e| agent_fault(e.into()))?;
-    let mut files = vec![model?, target?];
-    let adam = tensors::encode_adam(layout, agent.adam()).map_err(contents(&dir.join(OPTIMIZER)))?;
-    files.push(bytes(OPTIMIZER, &adam)?);
-    if let Some(behaviour) = cut.behaviour {
-        files.push(params(BEHAVIOUR, behaviour)?);
-    }
-    files.push(file::write(dir, REPLAY, |file| agent.replay().write(file))?);
-    let records = agent.annotation_records();
-    files.push(file::write(dir, ANNOTATIONS, |file| {
-        file.write_all(bytemuck::cast_slice(&ANNOTATIONS_HEAD))?;
-        file.write_all(bytemuck::cast_slice(&records))
-    })?);
-    files.push(frame(dir, AGENT, AGENT_KIND, &agent.state())?);
-    files.push(frame(dir, ACTORS, ACTORS_KIND, &cut.actors)?);
-    files.push(frame(dir, RUN, RUN_KIND, &cut.run)?);
-    let manifest = Manifest {
-        format: FORMAT,
-        version: env!("CARGO_PKG_VERSION").into(),
-        tick: cut.tick,
-        configuration: fingerprint(cut.plan),
-        counters: agent.counters(),
-        cut_short: agent.cut_short(),
-        files,
-    };
-    let manifest = manifest.encode().map_err(contents(&dir.join(MANIFEST)))?;
-    bytes(MANIFEST, &manifest)?;
-    Ok(manifest::seal(&manifest))
+/// A complete checkpoint.
+#[derive(Debug)]
+pub(super) struct Saved {
+    pub(super) dir: PathBuf,
+    pub(super) manifest: Manifest,
 }
 
-/// Writes `value` as a frame.
-fn frame<T: Serialize>(dir: &Path, name: &str, kind: Kind, value: &T) -> Result<FileEntry, CheckpointError> {
-    let path = dir.join(name);
-    let bytes = codec::encode(kind, value).map_err(contents(&path))?;
+impl Saved {
+    /// The segments that the checkpoint holds and that can be had from it.
+    fn segments(&self) -> Vec<(Span, &FileEntry)> {
+        let there = |entry: &FileEntry| {
+            fs::metadata(self.dir.join(&entry.name)).is_ok_and(|found| found.len() == entry.bytes)
+        };
+        self.manifest.segments().into_iter().filter(|(_, entry)| there(entry)).collect()
+    }
+}
+
+/// A cut copied out of the run: all the bytes that are to be written, while the run goes on.
+#[derive(Debug)]
+pub(super) struct Frozen {
+    /// All but the files.
+    manifest: Manifest,
+    keep: usize,
+    new: Vec<(String, Vec<u8>)>,
+    /// Segments that an earlier checkpoint, in that directory, holds already.
+    linked: Vec<FileEntry>,
+    from: PathBuf,
+    records: Vec<Unsynced>,
+}
+
+impl Frozen {
+    /// Copies `cut`; what `saved` holds already is not copied.
+    pub(super) fn new(
+        cut: &Cut<'_>,
+        saved: Option<&Saved>,
+        records: Vec<Unsynced>,
+    ) -> Result<Self, CheckpointError> {
+        let (agent, network) = (cut.agent, cut.agent.network());
+        let layout = network.layout();
+        let params = |name: &str, params: &[f32]| {
+            let bytes = tensors::encode_params(layout, params).map_err(contents(Path::new(name)))?;
+            Ok::<_, CheckpointError>((name.into(), bytes))
+        };
+        let agent_fault = |source| CheckpointError::Agent { path: AGENT.into(), source: Box::new(source) };
+        let (model, target) = network
+            .with_params(|online, target| (params(MODEL, online), params(TARGET, target)))
+            .map_err(|e| agent_fault(e.into()))?;
+        let adam = tensors::encode_adam(layout, agent.adam()).map_err(contents(Path::new(OPTIMIZER)))?;
+        let mut new = vec![model?, target?, (OPTIMIZER.into(), adam)];
+        if let Some(behaviour) = cut.behaviour {
+            new.push(params(BEHAVIOUR, behaviour)?);
+        }
+        let records_of = agent.annotation_records();
+        let annotations =
+            [bytemuck::cast_slice(&ANNOTATIONS_HEAD), bytemuck::cast_slice(&records_of)].concat();
+        new.push((ANNOTATIONS.into(), annotations));
+        new.push(frame(AGENT, AGENT_KIND, &agent.state())?);
+        new.push(frame(ACTORS, ACTORS_KIND, &cut.actors)?);
+        new.push(frame(RUN, RUN_KIND, &cut.run)?);
+        new.push((REPLAY.into(), agent.replay().head()));
+        let there = saved.map(Saved::segments).unwrap_or_default();
+        let spans: Vec<Span> = there.iter().map(|(span, _)| *span).collect();
+        let mut linked = Vec::new();
+        for (span, is_there) in agent.replay().segments(&spans) {
+            match there.iter().find(|(other, _)| is_there && *other == span) {
+                Some((_, entry)) => linked.push((*entry).clone()),
+                None => new.push((span.name(), agent.replay().segment(span))),
+            }
+        }
+        let manifest = Manifest {
+            format: FORMAT,
+            version: env!("CARGO_PKG_VERSION").into(),
+            tick: cut.tick,
+            configuration: fingerprint(cut.plan),
+            counters: agent.counters(),
+            cut_short: agent.cut_short(),
+            files: Vec::new(),
+        };
+        let (keep, from) = (cut.plan.config.checkpoint.keep, saved.map(|saved| saved.dir.clone()));
+        Ok(Self { manifest, keep, new, linked, from: from.unwrap_or_default(), records })
+    }
+
+    /// The tick of the cut.
+    pub(super) fn tick(&self) -> u64 {
+        self.manifest.tick
+    }
+
+    /// Bytes of the files that have to be written.
+    pub(super) fn new_bytes(&self) -> usize {
+        self.new.iter().map(|(_, bytes)| bytes.len()).sum()
+    }
+
+    /// Writes the checkpoint into `run_dir` (which exists) as its newest, and removes all but the newest `keep` complete
+    /// ones as well as what was left unfinished.
+    ///
+    /// If there is a sound checkpoint of the tick already, it is the same cut (runs are deterministic) and stays. Only one
+    /// process, with one thread, may write into a run directory at a time.
+    ///
+    /// # Errors
+    /// The file system refuses. Older checkpoints are untouched then.
+    pub(super) fn write(self, run_dir: &Path) -> Result<Saved, CheckpointError> {
+        let root = run_dir.join(CHECKPOINTS_DIR);
+        fs::create_dir_all(&root).map_err(io(&root, "create"))?;
+        remove_scratch(&root)?;
+        for record in &self.records {
+            record.file.sync_data().map_err(io(&record.path, "write"))?;
+        }
+        let (tick, keep) = (self.tick(), self.keep);
+        let dir = directory(run_dir, tick);
+        let same =
+            |found: &Manifest| found.tick == tick && found.configuration == self.manifest.configuration;
+        let manifest = match read::verify(&dir) {
+            Ok(found) if same(&found) => found,
+            _ => {
+                remove(&root, &dir)?;
+                let scratch = root.join(format!("{SCRATCH}{}", name_of(tick)));
+                fs::create_dir(&scratch).map_err(io(&scratch, "create"))?;
+                let (manifest, seal) = self.write_files(&scratch)?;
+                file::sync_dir(&scratch)?;
+                fs::rename(&scratch, &dir).map_err(io(&dir, "create"))?;
+                file::sync_dir(&root)?;
+                file::write(&dir, COMPLETE, seal.as_bytes())?;
+                file::sync_dir(&dir)?;
+                manifest
+            }
+        };
+        link_last(run_dir, tick)?;
+        retain(run_dir, tick, keep)?;
+        Ok(Saved { dir, manifest })
+    }
+
+    /// Writes all files but COMPLETE, whose contents are returned with the MANIFEST.
+    fn write_files(self, dir: &Path) -> Result<(Manifest, String), CheckpointError> {
+        let mut manifest = self.manifest;
+        for (name, bytes) in &self.new {
+            manifest.files.push(file::write(dir, name, bytes)?);
+        }
+        for entry in self.linked {
+            file::link(&self.from, dir, &entry)?;
+            manifest.files.push(entry);
+        }
+        let bytes = manifest.encode().map_err(contents(&dir.join(MANIFEST)))?;
+        file::write(dir, MANIFEST, &bytes)?;
+        let seal = manifest::seal(&bytes);
+        Ok((manifest, seal))
+    }
+}
+
+/// `value` as a frame, with the name of its file.
+fn frame<T: Serialize>(name: &str, kind: Kind, value: &T) -> Result<(String, Vec<u8>), CheckpointError> {
+    let path = Path::new(name);
+    let bytes = codec::encode(kind, value).map_err(contents(path))?;
     if bytes.len() > MAX_BODY {
-        return Err(CheckpointError::Size { path, found: bytes.len() as u64, expected: MAX_BODY as u64 });
+        let (path, found) = (path.into(), bytes.len() as u64);
+        return Err(CheckpointError::Size { path, found, expected: MAX_BODY as u64 });
     }
-    file::write(dir, name, |file| file.write_all(&bytes))
+    Ok((name.into(), bytes))
 }
 
 /// Makes `last` point at the checkpoint of `tick`, in one step.

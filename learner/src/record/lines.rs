@@ -1,6 +1,7 @@
 //! A text file that grows by whole lines and that a resumed run cuts back to what its checkpoint counts.
 
 use super::error::{RecordError, io};
+use crate::checkpoint::Unsynced;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -58,10 +59,11 @@ impl Lines {
         self.file.flush().map_err(io("write", &self.path))
     }
 
-    /// Waits until all lines are on the disk.
-    pub(super) fn sync(&mut self) -> Result<(), RecordError> {
+    /// Hands all lines to the operating system; returns the file for whoever sees to it that they reach the disk.
+    pub(super) fn unsynced(&mut self) -> Result<Unsynced, RecordError> {
         self.flush()?;
-        self.file.get_ref().sync_data().map_err(io("write", &self.path))
+        let file = self.file.get_ref().try_clone().map_err(io("write", &self.path))?;
+        Ok(Unsynced { path: self.path.clone(), file })
     }
 }
 
@@ -147,7 +149,7 @@ mod tests {
             for line in &lines[kept..] {
                 file.push(line).unwrap();
             }
-            file.sync().unwrap();
+            file.unsynced().unwrap();
             prop_assert_eq!(file.rows(), lines.len() as u64);
             prop_assert_eq!(std::fs::read(&path).unwrap(), undisturbed);
         }

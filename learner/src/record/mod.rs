@@ -10,7 +10,7 @@
 //!     after a greedy evaluation:   recorder.evaluation(&counters, &episodes)
 //!     if recorder.interval_due():  recorder.interval(&counters, &gauges)
 //!     if recorder.progress_due():  print recorder.progress(&counters, &gauges)
-//!     at a checkpoint:             state = recorder.checkpoint(), to be kept in it
+//!     at a checkpoint:             (state, files) = recorder.checkpoint(), to be kept in it, and to be synced before
 //! recorder.finish(&counters, &gauges, outcome)       writes result.json
 //! ```
 //!
@@ -33,6 +33,7 @@ pub use progress::{Counters, Limits, Progress, seconds_left};
 pub use result::{RESULT_FILE, RunResult, write_result};
 pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};
 
+use crate::checkpoint::Unsynced;
 use lines::Lines;
 use metrics::{Row, Window, episode_row, evaluation_scalars, interval_row, means};
 use serde::{Deserialize, Serialize};
@@ -240,19 +241,19 @@ impl Recorder {
         }
     }
 
-    /// What goes into the checkpoint that is being taken. All lines so far are on the disk when this returns,
-    /// so a complete checkpoint never counts lines that a crash can take away.
-    pub fn checkpoint(&mut self) -> Result<RecorderState, RecordError> {
-        self.evals.sync()?;
-        self.metrics.sync()?;
+    /// What goes into the checkpoint that is being taken, and the files that must be synced before it is complete: a
+    /// complete checkpoint never counts lines that a crash can take away.
+    pub fn checkpoint(&mut self) -> Result<(RecorderState, Vec<Unsynced>), RecordError> {
+        let files = vec![self.evals.unsynced()?, self.metrics.unsynced()?];
         self.events.flush()?;
-        Ok(RecorderState {
+        let state = RecorderState {
             wall_s: self.wall_s(),
             evals_rows: self.evals.rows(),
             metrics_rows: self.metrics.rows(),
             window: self.window.clone(),
             standing: self.standing.clone(),
-        })
+        };
+        Ok((state, files))
     }
 
     /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`.

@@ -113,7 +113,7 @@ fn an_interruption_leaves_no_trace() {
         let dir = tempfile::tempdir().unwrap();
         let mut recorder = Recorder::create(dir.path(), settings(goal)).unwrap();
         play(&mut recorder, 1..=checkpoint);
-        let state = codec::encode(KIND, &recorder.checkpoint().unwrap()).unwrap();
+        let state = codec::encode(KIND, &recorder.checkpoint().unwrap().0).unwrap();
         play(&mut recorder, checkpoint + 1..=40);
         drop(recorder);
 
@@ -163,7 +163,7 @@ fn lost_lines_and_empty_evaluations_are_refused() {
     let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
     play(&mut recorder, 1..=6);
     assert!(matches!(recorder.evaluation(&at(7), &[]), Err(RecordError::NoEpisodes { env_steps: 70 })));
-    let state = recorder.checkpoint().unwrap();
+    let (state, _) = recorder.checkpoint().unwrap();
     drop(recorder);
     std::fs::write(dir.path().join(METRICS_FILE), "{}\n").unwrap();
     let error = Recorder::resume(dir.path(), settings(None), state, at(6)).unwrap_err();

@@ -1,29 +1,50 @@
-//! The replay as a file: 64 bytes of header, then each array whole, in slot order, little-endian.
+//! The replay as files: *segments* that never change once they are full, and a *head* with all that does.
+//!
+//! A stored transition stays what it is until it is overwritten; only its past values change. So the history is cut at
+//! multiples of [`Replay::segment_rows`] into segments, which successive checkpoints share, and a checkpoint costs what
+//! has come since the one before. All is little-endian.
+//!
+//! The head: 64 bytes of header, then the past values in the order of the slots.
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 8 | magic `TRREPLAY` |
-//! | 8 | version of this layout, `u64` |
+//! | 8, 8 | magic `TRREPLAY`, version of this layout `u64` |
 //! | 8, 8, 8, 8 | `obs_dim`, capacity, transitions stored, transitions ever stored, `u64` |
 //! | 16 | zero |
-//! | `stored * obs_dim` words each | s, s', `f32` |
-//! | `stored` words each | actions `u32`, rewards `f32`, mentor indices `u32`, Q_o^past `f32`, Q_m^past `f32` |
-//! | `stored` bytes each | flags, actors |
+//! | `stored` words each | Q_o^past, Q_m^past, `f32` |
 //!
-//! An array is one write. Checksums are the business of whoever writes the file (a checkpoint's manifest).
+//! A segment: 64 bytes of header, then each array whole, in the order of the global indices.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 8, 8 | magic `TRSEGMNT`, version of this layout `u64` |
+//! | 8, 8, 8 | `obs_dim`, global index of the first transition, and of the one after the last, `u64` |
+//! | 24 | zero |
+//! | `rows * obs_dim` words each | s, s', `f32` |
+//! | `rows` words each | actions `u32`, rewards `f32`, mentor indices `u32` |
+//! | `rows` bytes each | flags, actors |
+//!
+//! Checksums are the business of whoever writes the files (a checkpoint's manifest).
 
 use super::Replay;
 use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut};
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
+use std::ops::Range;
 use trestle_proto::NONE;
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED};
 
 // The arrays go to the file as they lie in memory.
 const _: () = assert!(cfg!(target_endian = "little"), "files are little-endian, and so must be the machine");
 
-const MAGIC: [u8; 8] = *b"TRREPLAY";
-const VERSION: u64 = 1;
+const HEAD: [u8; 8] = *b"TRREPLAY";
+const SEGMENT: [u8; 8] = *b"TRSEGMNT";
+const VERSION: u64 = 2;
 const KNOWN_FLAGS: u8 = (TERMINATED | TRUNCATED | FIRST) as u8;
+/// Segments that a full replay has, about: few enough for a directory, and small enough for the unfinished one, which
+/// every checkpoint writes anew.
+const SEGMENTS: u64 = 64;
+const PREFIX: &str = "replay-";
+const SUFFIX: &str = ".bin";
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
@@ -31,10 +52,42 @@ struct Header {
     magic: [u8; 8],
     version: u64,
     obs_dim: u64,
-    capacity: u64,
-    stored: u64,
-    pushed: u64,
+    /// Head: capacity. Segment: first.
+    a: u64,
+    /// Head: stored. Segment: end.
+    b: u64,
+    /// Head: ever stored.
+    c: u64,
     zero: [u64; 2],
+}
+
+/// Transitions with global indices from `first` up to, and without, `end`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Span {
+    /// The first.
+    pub first: u64,
+    /// The one after the last.
+    pub end: u64,
+}
+
+impl Span {
+    /// Name of the segment's file.
+    pub fn name(&self) -> String {
+        format!("{PREFIX}{:012}-{:012}{SUFFIX}", self.first, self.end)
+    }
+
+    /// The span of the segment whose file is called `name`; none if it is no segment's.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let (first, end) = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.split_once('-')?;
+        let span = Self { first: first.parse().ok()?, end: end.parse().ok()? };
+        // Nothing but what `name` would give: no signs, no missing zeros.
+        (span.first < span.end && span.name() == name).then_some(span)
+    }
+
+    /// Number of transitions.
+    fn rows(&self) -> usize {
+        (self.end - self.first) as usize
+    }
 }
 
 /// A file that is not a replay of this run.
@@ -44,12 +97,14 @@ pub enum ReplayFileError {
     #[error(transparent)]
     Io(#[from] io::Error),
     /// Something else, or another version of it.
-    #[error("magic {magic} and version {version}; accepted: TRREPLAY and version {VERSION}")]
+    #[error("magic {magic} and version {version}; accepted: {accepted} and version {VERSION}")]
     Kind {
         /// What it begins with.
         magic: String,
         /// Its version.
         version: u64,
+        /// What it should begin with.
+        accepted: String,
     },
     /// A field of the header is not this run's, or cannot be.
     #[error("{what} is {found}; accepted: {accepted}")]
@@ -73,6 +128,16 @@ pub enum ReplayFileError {
         /// What is accepted.
         accepted: String,
     },
+    /// Segments that leave something out, or overlap.
+    #[error("no segment begins with transition {missing}, and {stored} are stored from {first} on")]
+    Gap {
+        /// The transition that is missing.
+        missing: u64,
+        /// The first stored transition.
+        first: u64,
+        /// How many are stored.
+        stored: u64,
+    },
     /// There is more than the header says.
     #[error("bytes are left over after {0} transitions")]
     Trailing(u64),
@@ -90,78 +155,137 @@ pub struct Bounds {
 }
 
 impl Replay {
-    /// Writes the replay.
-    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+    /// Transitions of a full segment: a power of two.
+    fn segment_rows(&self) -> u64 {
+        (self.capacity as u64 / SEGMENTS).next_power_of_two()
+    }
+
+    /// The segments that hold all that is stored, in order, and whether each is among those `there` already.
+    /// A segment that is there may begin with transitions that are no longer stored.
+    pub fn segments(&self, there: &[Span]) -> Vec<(Span, bool)> {
+        let rows = self.segment_rows();
+        let mut segments = Vec::new();
+        let mut first = self.first_index();
+        while first < self.pushed {
+            let full = (first / rows + 1) * rows;
+            let end = full.min(self.pushed);
+            let same = |span: &&Span| span.end == end && end == full && span.first <= first;
+            match there.iter().find(same) {
+                Some(span) => segments.push((*span, true)),
+                None => segments.push((Span { first, end }, false)),
+            }
+            first = end;
+        }
+        segments
+    }
+
+    /// The head as the bytes of a file.
+    pub fn head(&self) -> Vec<u8> {
         let header = Header {
-            magic: MAGIC,
+            magic: HEAD,
             version: VERSION,
             obs_dim: self.obs_dim as u64,
-            capacity: self.capacity as u64,
-            stored: self.len() as u64,
-            pushed: self.pushed,
+            a: self.capacity as u64,
+            b: self.len() as u64,
+            c: self.pushed,
             zero: [0; 2],
         };
-        out.write_all(bytes_of(&header))?;
-        for words in [&self.obs, &self.next] {
-            out.write_all(cast_slice(words))?;
-        }
-        out.write_all(cast_slice(&self.action))?;
-        out.write_all(cast_slice(&self.reward))?;
-        out.write_all(cast_slice(&self.mentor))?;
-        out.write_all(cast_slice(&self.q_past_o))?;
-        out.write_all(cast_slice(&self.q_past_m))?;
-        out.write_all(&self.flags)?;
-        out.write_all(&self.actor)
+        [bytes_of(&header), cast_slice(&self.q_past_o), cast_slice(&self.q_past_m)].concat()
     }
 
-    /// Replaces the contents by those that [`Replay::write`] wrote, of a replay with the same capacity and
-    /// `obs_dim`. All of `from` must be used up.
+    /// The transitions of `span`, all of which are stored, as the bytes of a file.
+    pub fn segment(&self, span: Span) -> Vec<u8> {
+        let header = Header {
+            magic: SEGMENT,
+            version: VERSION,
+            obs_dim: self.obs_dim as u64,
+            a: span.first,
+            b: span.end,
+            c: 0,
+            zero: [0; 2],
+        };
+        let mut bytes = Vec::with_capacity(size_of::<Header>() + span.rows() * (8 * self.obs_dim + 14));
+        bytes.extend_from_slice(bytes_of(&header));
+        let slots = self.slots(span);
+        for features in [&self.obs, &self.next] {
+            put(&mut bytes, features, self.obs_dim, &slots);
+        }
+        put(&mut bytes, &self.action, 1, &slots);
+        put(&mut bytes, &self.reward, 1, &slots);
+        put(&mut bytes, &self.mentor, 1, &slots);
+        put(&mut bytes, &self.flags, 1, &slots);
+        put(&mut bytes, &self.actor, 1, &slots);
+        bytes
+    }
+
+    /// The slots of `span`, no longer than the ring: up to its seam, and after it.
+    fn slots(&self, span: Span) -> [Range<usize>; 2] {
+        let start = self.slot(span.first);
+        let before = span.rows().min(self.capacity - start);
+        [start..start + before, 0..span.rows() - before]
+    }
+
+    /// Begins to read a replay with the same capacity and `obs_dim` back: all entries get their past values, and are
+    /// otherwise blank. All of `from` must be used up.
     ///
     /// # Errors
-    /// Anything that `write` would not have written; the replay is empty then.
-    pub fn read(&mut self, from: &mut impl Read, bounds: &Bounds) -> Result<(), ReplayFileError> {
-        let read = self.read_unchecked(from).and_then(|()| self.check(bounds));
-        if read.is_err() {
-            self.pushed = 0;
-            self.resize(0);
-        }
-        read
-    }
-
-    fn read_unchecked(&mut self, from: &mut impl Read) -> Result<(), ReplayFileError> {
-        let mut header = Header::default();
-        from.read_exact(bytemuck::bytes_of_mut(&mut header))?;
-        if (header.magic, header.version) != (MAGIC, VERSION) {
-            let magic = header.magic.escape_ascii().to_string();
-            return Err(ReplayFileError::Kind { magic, version: header.version });
-        }
+    /// Anything that [`Replay::head`] would not have given.
+    pub fn read_head(&mut self, from: &mut impl Read) -> Result<(), ReplayFileError> {
+        let header = read_header(from, HEAD)?;
         let (dim, capacity) = (self.obs_dim as u64, self.capacity as u64);
-        let stored = header.pushed.min(capacity);
-        for (what, found, accepted) in [
-            ("obs_dim", header.obs_dim, dim),
-            ("capacity", header.capacity, capacity),
-            ("number of transitions", header.stored, stored),
-        ] {
-            if found != accepted {
-                return Err(ReplayFileError::Header { what, found, accepted: accepted.to_string() });
-            }
-        }
-        self.pushed = header.pushed;
+        let stored = header.c.min(capacity);
+        expect("obs_dim", header.obs_dim, dim)?;
+        expect("capacity", header.a, capacity)?;
+        expect("number of transitions", header.b, stored)?;
+        self.pushed = header.c;
         self.resize(stored as usize);
-        for words in [&mut self.obs, &mut self.next] {
-            from.read_exact(cast_slice_mut(words))?;
-        }
-        from.read_exact(cast_slice_mut(&mut self.action))?;
-        from.read_exact(cast_slice_mut(&mut self.reward))?;
-        from.read_exact(cast_slice_mut(&mut self.mentor))?;
         from.read_exact(cast_slice_mut(&mut self.q_past_o))?;
         from.read_exact(cast_slice_mut(&mut self.q_past_m))?;
-        from.read_exact(&mut self.flags)?;
-        from.read_exact(&mut self.actor)?;
-        if from.read(&mut [0])? != 0 {
-            return Err(ReplayFileError::Trailing(stored));
+        end(from, stored)
+    }
+
+    /// Whether `spans`, in order, hold all that is stored, each from where the one before ends.
+    ///
+    /// # Errors
+    /// They leave something out, or overlap.
+    pub fn check_segments(&self, spans: &[Span]) -> Result<(), ReplayFileError> {
+        let gap = |missing| {
+            let (first, stored) = (self.first_index(), self.len() as u64);
+            Err(ReplayFileError::Gap { missing, first, stored })
+        };
+        let mut next = self.first_index();
+        for (at, span) in spans.iter().enumerate() {
+            let begins = if at == 0 { span.first <= next } else { span.first == next };
+            if !begins || span.end <= next || span.end > self.pushed {
+                return gap(next);
+            }
+            next = span.end;
         }
-        Ok(())
+        if next < self.pushed { gap(next) } else { Ok(()) }
+    }
+
+    /// Reads segment `span` back, as far as its transitions are stored; after [`Replay::read_head`], and one of the
+    /// segments that [`Replay::check_segments`] has found good. All of `from` must be used up.
+    ///
+    /// # Errors
+    /// Anything that [`Replay::segment`] would not have given.
+    pub fn read_segment(&mut self, span: Span, from: &mut impl Read) -> Result<(), ReplayFileError> {
+        let header = read_header(from, SEGMENT)?;
+        expect("obs_dim", header.obs_dim, self.obs_dim as u64)?;
+        expect("first transition", header.a, span.first)?;
+        expect("end", header.b, span.end)?;
+        let stored = Span { first: span.first.max(self.first_index()), end: span.end };
+        let gone = span.rows() - stored.rows();
+        let slots = self.slots(stored);
+        for features in [&mut self.obs, &mut self.next] {
+            take(from, features, self.obs_dim, gone, &slots)?;
+        }
+        take(from, &mut self.action, 1, gone, &slots)?;
+        take(from, &mut self.reward, 1, gone, &slots)?;
+        take(from, &mut self.mentor, 1, gone, &slots)?;
+        take(from, &mut self.flags, 1, gone, &slots)?;
+        take(from, &mut self.actor, 1, gone, &slots)?;
+        end(from, span.rows() as u64)
     }
 
     /// Makes every array `len` (at most the capacity) transitions long, within the memory that is reserved.
@@ -178,7 +302,10 @@ impl Replay {
     }
 
     /// Checks all that the rest of the program relies on. Past values may be anything: NaN means "never computed".
-    fn check(&self, bounds: &Bounds) -> Result<(), ReplayFileError> {
+    ///
+    /// # Errors
+    /// The first entry that is not sound.
+    pub fn check(&self, bounds: &Bounds) -> Result<(), ReplayFileError> {
         let refuse = |slot, what, found: f64, accepted: String| {
             Err(ReplayFileError::Entry { slot, what, found, accepted })
         };
@@ -204,4 +331,51 @@ impl Replay {
         }
         Ok(())
     }
+}
+
+/// Appends the entries of `column` in `slots`, each `width` numbers.
+fn put<T: Pod>(bytes: &mut Vec<u8>, column: &[T], width: usize, slots: &[Range<usize>; 2]) {
+    for range in slots {
+        bytes.extend_from_slice(cast_slice(&column[range.start * width..range.end * width]));
+    }
+}
+
+/// Reads a column whose first `gone` entries are of no use into `slots`.
+fn take<T: Pod>(
+    from: &mut impl Read,
+    column: &mut [T],
+    width: usize,
+    gone: usize,
+    slots: &[Range<usize>; 2],
+) -> io::Result<()> {
+    let skipped = (gone * width * size_of::<T>()) as u64;
+    if io::copy(&mut from.by_ref().take(skipped), &mut io::sink())? < skipped {
+        return Err(io::ErrorKind::UnexpectedEof.into());
+    }
+    for range in slots {
+        from.read_exact(cast_slice_mut(&mut column[range.start * width..range.end * width]))?;
+    }
+    Ok(())
+}
+
+fn read_header(from: &mut impl Read, accepted: [u8; 8]) -> Result<Header, ReplayFileError> {
+    let mut header = Header::default();
+    from.read_exact(bytemuck::bytes_of_mut(&mut header))?;
+    if (header.magic, header.version) == (accepted, VERSION) {
+        return Ok(header);
+    }
+    let [magic, accepted] = [header.magic, accepted].map(|magic| magic.escape_ascii().to_string());
+    Err(ReplayFileError::Kind { magic, version: header.version, accepted })
+}
+
+fn expect(what: &'static str, found: u64, accepted: u64) -> Result<(), ReplayFileError> {
+    if found == accepted {
+        return Ok(());
+    }
+    Err(ReplayFileError::Header { what, found, accepted: accepted.to_string() })
+}
+
+/// Refuses what comes after the last of `rows` transitions.
+fn end(from: &mut impl Read, rows: u64) -> Result<(), ReplayFileError> {
+    if from.read(&mut [0])? == 0 { Ok(()) } else { Err(ReplayFileError::Trailing(rows)) }
 }

@@ -12,7 +12,7 @@
 
 mod file;
 
-pub use file::{Bounds, ReplayFileError};
+pub use file::{Bounds, ReplayFileError, Span};
 
 use rand::RngCore;
 use trestle_proto::NONE;

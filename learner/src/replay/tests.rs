@@ -5,7 +5,7 @@
 use super::*;
 use proptest::prelude::*;
 use rand::SeedableRng;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED};
 use trestle_proto::rng::Stream;
 
@@ -129,41 +129,104 @@ proptest! {
         }
     }
 
+    /// Segments and head together are the replay, wherever the segments come from.
     #[test]
-    fn a_file_gives_it_back(capacity in 1usize..12, entries in prop::collection::vec(plain(), 0..40), more in plain()) {
+    fn files_give_it_back(
+        capacity in 1usize..300, entries in prop::collection::vec(plain(), 0..700), more in plain(),
+        earlier in any::<prop::sample::Index>(),
+    ) {
+        // Files of an earlier state, full segments of which are used again.
+        let (earlier, _) = filled(capacity, &entries[..earlier.index(entries.len() + 1)]);
+        let old = files(&earlier, &Files::new());
         let (mut replay, _) = filled(capacity, &entries);
-        let mut bytes = Vec::new();
-        replay.write(&mut bytes).unwrap();
+        let new = files(&replay, &old);
         let mut again = Replay::new(capacity, DIM).unwrap();
-        again.read(&mut bytes.as_slice(), &BOUNDS).unwrap();
+        read(&mut again, &replay.head(), &new).unwrap();
+        prop_assert_eq!(again.first_index(), replay.first_index());
+        prop_assert_eq!(again.next_index(), replay.next_index());
         prop_assert_eq!(contents(&again), contents(&replay));
         let slots = [&mut replay, &mut again].map(|r| r.push(&more.transition(), 0, 1));
         prop_assert_eq!(slots[0], slots[1]);
-        prop_assert_eq!(again.next_index(), replay.next_index());
     }
 
     #[test]
     fn a_damaged_file_is_refused_or_in_range(
-        entries in prop::collection::vec(plain(), 1..10), at in any::<prop::sample::Index>(), bit in 0u8..8,
+        entries in prop::collection::vec(plain(), 1..10), which in any::<prop::sample::Index>(),
+        at in any::<prop::sample::Index>(), bit in 0u8..8,
     ) {
         let (replay, _) = filled(6, &entries);
-        let mut bytes = Vec::new();
-        replay.write(&mut bytes).unwrap();
-        let at = at.index(bytes.len());
-        let mut again = Replay::new(6, DIM).unwrap();
-        prop_assert!(again.read(&mut &bytes[..at], &BOUNDS).is_err());
-        prop_assert!(again.is_empty() && again.next_index() == 0);
-        bytes[at] ^= 1 << bit;
+        let (head, segments) = (replay.head(), files(&replay, &Files::new()));
+        let which = which.index(segments.len() + 1);
+        let damaged = |damage: &dyn Fn(&mut Vec<u8>)| {
+            let (mut head, mut segments) = (head.clone(), segments.clone());
+            damage(if which == segments.len() { &mut head } else { segments.values_mut().nth(which).unwrap() });
+            let mut again = Replay::new(6, DIM).unwrap();
+            read(&mut again, &head, &segments).map(|()| again)
+        };
+        let length = if which == segments.len() { head.len() } else { segments.values().nth(which).unwrap().len() };
+        let at = at.index(length);
+        prop_assert!(damaged(&|bytes| bytes.truncate(at)).is_err());
+        let trailing = damaged(&|bytes| bytes.push(0));
+        prop_assert!(matches!(trailing, Err(ReplayFileError::Trailing(_))));
         // Without the manifest's checksum a flipped bit may give another sound replay, but never an unsound one.
-        if again.read(&mut bytes.as_slice(), &BOUNDS).is_ok() {
+        if let Ok(again) = damaged(&|bytes| bytes[at] ^= 1 << bit) {
             for entry in contents(&again) {
                 prop_assert!(entry.action < 4 && (entry.mentor < 9 || entry.mentor == NONE) && entry.actor < 3);
                 prop_assert!(entry.obs.iter().chain(&entry.next).all(|x| x.is_finite()));
             }
         }
-        bytes[at] ^= 1 << bit;
-        bytes.push(0);
-        prop_assert!(matches!(again.read(&mut bytes.as_slice(), &BOUNDS), Err(ReplayFileError::Trailing(_))));
+    }
+
+    #[test]
+    fn segments_that_leave_something_out_are_refused(
+        entries in prop::collection::vec(plain(), 2..200), which in any::<prop::sample::Index>(),
+    ) {
+        let (replay, _) = filled(128, &entries);
+        let mut spans: Vec<Span> = replay.segments(&[]).into_iter().map(|(span, _)| span).collect();
+        prop_assert!(replay.check_segments(&spans).is_ok());
+        let which = which.index(spans.len());
+        let removed = spans.remove(which);
+        prop_assert!(replay.check_segments(&spans).is_err());
+        spans.insert(which, removed);
+        spans.insert(which, removed);
+        prop_assert!(replay.check_segments(&spans).is_err());
+    }
+}
+
+/// The bytes of segments.
+type Files = BTreeMap<Span, Vec<u8>>;
+
+/// The files of the replay's segments, those that are in `there` taken from it.
+fn files(replay: &Replay, there: &Files) -> Files {
+    let spans: Vec<Span> = there.keys().copied().collect();
+    let segments = replay.segments(&spans).into_iter();
+    segments
+        .map(|(span, old)| (span, if old { there[&span].clone() } else { replay.segment(span) }))
+        .collect()
+}
+
+fn read(into: &mut Replay, mut head: &[u8], segments: &Files) -> Result<(), ReplayFileError> {
+    into.read_head(&mut head)?;
+    into.check_segments(&segments.keys().copied().collect::<Vec<_>>())?;
+    for (span, bytes) in segments {
+        into.read_segment(*span, &mut bytes.as_slice())?;
+    }
+    into.check(&BOUNDS)
+}
+
+#[test]
+fn only_a_segments_own_name_is_one() {
+    let span = Span { first: 512, end: 1024 };
+    assert_eq!(span.name(), "replay-000000000512-000000001024.bin");
+    assert_eq!(Span::of_name(&span.name()), Some(span));
+    for name in [
+        "replay.bin",
+        "replay-512-1024.bin",
+        "replay-000000001024-000000000512.bin",
+        "replay-+00000000512-000000001024.bin",
+        "../replay-000000000512-000000001024.bin",
+    ] {
+        assert_eq!(Span::of_name(name), None, "{name}");
     }
 }
 
