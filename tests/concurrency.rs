@@ -32,6 +32,20 @@ fn six_at_once() {
     at_once(&["1", "2", "3", "4", "5", "6"]);
 }
 
+/// More runs at once than the host has processors by far: all start, and none takes another's slowness for death.
+#[test]
+fn twenty_four_at_once() {
+    let place = Place::new();
+    let args = ["maze-small", "--algo", "dqn", "--env-steps", "1000", "--set", "supervise.restarts=0"];
+    let runs: Vec<_> = (0..24).map(|i| start(&place.training(&i.to_string(), &args))).collect();
+    for run in runs {
+        run.finish().ok();
+    }
+    let hashes: Vec<String> = (0..24).map(|i| result(&place.run(&i.to_string())).weights_sha256).collect();
+    assert!(hashes.iter().all(|hash| *hash == hashes[0]));
+    (0..24).for_each(|i| assert_gone(&place.run(&i.to_string())));
+}
+
 #[test]
 fn a_directory_in_use_is_refused() {
     let place = Place::new();

@@ -1,5 +1,6 @@
 //! Faults in the middle of a run, which it survives without a trace in what it learns.
 
+use crate::schedule;
 use crate::util::{
     LIMIT, Place, Process, Trace, assert_gone, domain, evaluations, newest_checkpoint, process, processes,
     result, send, start, wait_until,
@@ -7,7 +8,11 @@ use crate::util::{
 use nix::sys::signal::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
+use trestle_proto::transport::ActorLink;
+use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, QueryClient};
 
 /// Two actors, and checkpoints on the way.
 const ARGS: [&str; 9] = [
@@ -124,6 +129,72 @@ fn a_pause_is_no_death() {
     let stopped = Instant::now();
     assert!(wait_until(LIMIT, || stopped.elapsed() > Duration::from_secs(5)));
     all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGCONT));
+    survived(&place, run, "run", 0, &undisturbed);
+}
+
+/// A short piece of what `cargo test --test faults` plays at length.
+#[test]
+fn a_schedule_of_faults_changes_nothing() {
+    let summary = schedule::play(1, 12, &schedule::KINDS, |_| {});
+    assert_eq!(summary.faults, 12);
+}
+
+/// Somebody who takes the name of an actor and sends what cannot be right: the learner says what is wrong and ends, and the
+/// run begins again under a new identity, without him.
+#[test]
+fn a_rogue_peer_is_named_and_shaken_off() {
+    let place = Place::new();
+    let undisturbed = place.train("undisturbed", &ARGS);
+    let spoil: [fn(&mut BatchHeader); 4] = [
+        |header| header.run ^= 1,
+        |header| header.tick = 1,
+        |header| header.actor = 63,
+        |header| header.obs_dim = 3,
+    ];
+    let mut run = start(&place.training("run", &ARGS));
+    let dir = place.run("run");
+    for (restarts, spoil) in spoil.into_iter().enumerate() {
+        // In the same words from the same checkpoint, it would be the run's end.
+        let before = newest_checkpoint(&dir);
+        run.wait_for("a checkpoint", || newest_checkpoint(&dir) > before);
+        let plan = dir.read_plan().unwrap();
+        assert_eq!(plan.restarts, restarts as u64);
+        let mut rogue = IceoryxActor::new(&Domain::of(plan.run), &plan, 0).unwrap();
+        let mut batch = Batch::default();
+        let mut header = BatchHeader { run: plan.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
+        spoil(&mut header);
+        batch.prepare(header);
+        run.wait_for("the learner to notice", || {
+            // It may not be listening to us yet, or any more.
+            let _ = rogue.send_batch(&batch);
+            dir.read_plan().unwrap().restarts > restarts as u64
+        });
+    }
+    survived(&place, run, "run", 4, &undisturbed);
+    let log = fs::read_to_string(dir.log("supervisor")).unwrap();
+    assert_eq!(log.matches("learner ended with exit status: 1").count(), 4, "{log}");
+}
+
+/// Clients that ask and never listen to the answers cost the run nothing.
+#[test]
+fn clients_that_do_not_listen_are_their_own_affair() {
+    let place = Place::new();
+    let undisturbed = place.train("undisturbed", &ARGS);
+    let mut run = start(&place.training("run", &ARGS));
+    let dir = place.run("run");
+    run.wait_for("an evaluation", || evaluations(&dir) > 0);
+    let plan = dir.read_plan().unwrap();
+    let clients: Vec<QueryClient> =
+        (0..4).map(|_| QueryClient::new(&Domain::of(plan.run), &plan).unwrap()).collect();
+    let request = QueryRequest { op: STATS, obs_dim: 2, ..QueryRequest::default() };
+    for _ in 0..50 {
+        for client in &clients {
+            // No time to wait: the answer finds nobody.
+            let _ = client.ask(&request, &[], &mut Vec::new(), Duration::ZERO);
+        }
+    }
+    let rows = evaluations(&dir);
+    run.wait_for("the run to go on", || evaluations(&dir) > rows);
     survived(&place, run, "run", 0, &undisturbed);
 }
 

@@ -1,7 +1,9 @@
 //! Hosts on which no run can start: shared memory that is missing, too small, or cannot be written to. Each test has
 //! its own `/dev/shm` in a mount namespace, which takes the right to make one.
 
-use crate::util::{Outcome, Place, TRESTLE, Trace, assert_gone, available, start_under, tree};
+use crate::util::{
+    Outcome, Place, TRESTLE, Trace, assert_gone, available, newest_checkpoint, processes, start_under, tree,
+};
 use std::fs;
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "3000", "--seed", "4"];
@@ -58,6 +60,28 @@ fn as_much_shared_memory_as_is_asked_for() {
     assert_gone(&dir);
     let undisturbed = place.train("again", &[&ARGS[..], &["--actors", "3"]].concat());
     assert_eq!(Trace::of(&dir), undisturbed);
+}
+
+/// Somebody fills shared memory, and then a process dies: the run ends with the reason, and can go on later.
+#[test]
+fn no_room_for_a_restart() {
+    let place = Place::new();
+    let setup = "mount -t tmpfs -o size=32m tmpfs /dev/shm";
+    if !available(&["unshare", "--mount", "sh", "-c", setup]) {
+        return;
+    }
+    let dir = place.run("run");
+    let root = dir.root().display();
+    let script = format!(
+        "{setup} && \"$@\" & run=$!; until [ -e {root}/last ]; do sleep 0.01; done; \
+         head -c 40000000 /dev/zero > /dev/shm/full; kill -9 $(pgrep -f '[l]earner --run {root}'); wait $run"
+    );
+    let more = ["--set", "checkpoint.every_env_steps=1000"];
+    let args = place.training("run", &[&["maze-small", "--episodes", "1000000000"], &more[..]].concat());
+    let outcome = start_under(&["unshare", "--mount", "sh", "-c", &script, "sh"], &args).finish();
+    outcome.refused(&["learner ended with signal", "not started again: /dev/shm has 0 MiB free"]);
+    assert!(newest_checkpoint(&dir).is_some());
+    assert!(processes(dir.root()).is_empty());
 }
 
 /// A start that fails when the directory has been made already: too few open files for the run's services.

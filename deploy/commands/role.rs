@@ -72,8 +72,8 @@ fn leave_with_supervisor(domain: &Domain) {
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
-    let program = std::env::current_exe().unwrap_or_else(|_| "/proc/self/exe".into());
-    let error = Command::new(program).arg("orphaned").arg(domain.run().to_string()).exec();
+    // Also if its file has been replaced.
+    let error = Command::new("/proc/self/exe").arg("orphaned").arg(domain.run().to_string()).exec();
     tracing::error!("cannot begin anew: {error}");
     std::process::exit(ORPHANED.into());
 }

@@ -21,6 +21,9 @@ use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
 use trestle_proto::rundir::RunDir;
 
+/// The program itself, also if its file has been replaced since it was started: a run is never carried on by another
+/// version by accident.
+const PROGRAM: &str = "/proc/self/exe";
 /// Lines of a dead child's log that the user is shown.
 const TAIL_LINES: usize = 12;
 
@@ -141,14 +144,14 @@ pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Event>) -> Re
 }
 
 fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child> {
-    let program = std::env::current_exe().context("cannot find the program itself")?;
     let path = dir.log(&role.to_string());
     let log = OpenOptions::new()
         .create(true)
         .append(true)
         .open(&path)
         .with_context(|| format!("cannot open {}", path.display()))?;
-    let mut command = Command::new(program);
+    let mut command = Command::new(PROGRAM);
+    command.arg0(std::env::args_os().next().unwrap_or_default());
     match role {
         Role::Learner => command.arg("learner"),
         Role::MentorServer => command.arg("mentor-server"),

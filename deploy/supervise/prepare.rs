@@ -290,6 +290,7 @@ impl Prepared {
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(super) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
+        check_shared_memory(Sizes::of(&self.plan).shared_memory_bytes())?;
         self.plan.resume_tick = tick;
         self.plan.run = new_identity();
         self.plan.restarts += 1;

@@ -87,7 +87,11 @@ pub enum LinkError {
 impl LinkError {
     /// Whether it says that another process is gone, or no longer answers: then that one is to blame.
     pub fn is_lost_peer(&self) -> bool {
-        matches!(self, Self::Receivers { .. } | Self::Deadline { .. })
+        match self {
+            Self::Receivers { found, expected, .. } => found < expected,
+            Self::Deadline { .. } => true,
+            _ => false,
+        }
     }
 }
 

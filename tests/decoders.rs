@@ -1,0 +1,223 @@
+//! Whatever reads bytes that others wrote, each as a function of arbitrary bytes that must neither panic nor let anything
+//! unsound through. Driven by `hostile.rs`.
+
+use bytemuck::{Pod, Zeroable, pod_read_unaligned};
+use std::fs;
+use trestle_actor::env::maze::Map;
+use trestle_actor::worker::Worker;
+use trestle_learner::checkpoint;
+use trestle_learner::replay::{Bounds, Replay, Span};
+use trestle_mentor_server::demo_file;
+use trestle_proto::NONE;
+use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::codec::{self, Kind};
+use trestle_proto::config::{self, Config};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::observe::{ObserveAnswer, Observed};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
+use trestle_proto::tick::{STOP, Tick};
+use trestle_proto::weights::WeightsHeader;
+
+/// A decoder, and its name.
+pub(crate) type Decoder = (&'static str, fn(&[u8]));
+
+/// All of them.
+pub(crate) const ALL: [Decoder; 7] = [
+    ("messages", messages),
+    ("frames", frames),
+    ("map", map),
+    ("config", config),
+    ("demonstration", demonstration),
+    ("replay", replay),
+    ("manifest", manifest),
+];
+
+const DIM: usize = 2;
+const ACTIONS: usize = 4;
+const MENTOR: usize = 5;
+
+/// The first bytes as a header, the rest as words.
+fn message<H: Pod>(bytes: &[u8]) -> (H, Vec<u32>) {
+    let mut head = vec![0; size_of::<H>()];
+    let split = head.len().min(bytes.len());
+    head[..split].copy_from_slice(&bytes[..split]);
+    (pod_read_unaligned(&head), words(&bytes[split..]))
+}
+
+fn words(bytes: &[u8]) -> Vec<u32> {
+    bytes.chunks_exact(4).map(pod_read_unaligned).collect()
+}
+
+/// What arrives in shared memory.
+pub(crate) fn messages(bytes: &[u8]) {
+    let (header, payload) = message::<BatchHeader>(bytes);
+    let mut batch = Batch::default();
+    if batch.receive(header, &payload, DIM, ACTIONS).is_ok() {
+        for index in 0..batch.len() {
+            let t = batch.transition(index);
+            assert!(t.obs.iter().chain(t.next_obs).chain([&t.reward]).all(|x| x.is_finite()));
+            assert!((t.action as usize) < ACTIONS && t.flags < 8);
+        }
+    }
+    let (tick, _) = message::<Tick>(bytes);
+    if tick.validate(7).is_ok() {
+        assert!(tick.run == 7 && (1..=STOP).contains(&tick.kind));
+    }
+    let (header, payload) = message::<WeightsHeader>(bytes);
+    let mut into = [0.0; 4];
+    let payload: Vec<f32> = payload.into_iter().map(f32::from_bits).collect();
+    let _ = header.receive(7, &[1, 2], &payload, &mut into);
+    let (answer, payload) = message::<ObserveAnswer>(bytes);
+    let mut observed = Observed::default();
+    let mut table = AnnotationTable::new(MENTOR, DIM, ACTIONS);
+    if observed.receive(&answer, &payload, DIM, MENTOR).is_ok() {
+        assert!(observed.mentor.iter().all(|&j| j == NONE || (j as usize) < MENTOR));
+        let _ = table.apply(&observed.changed);
+    }
+    let _ = table.apply(&words(bytes));
+    for j in 0..MENTOR {
+        assert!(table.estimate(j).is_none_or(|estimate| (estimate.action as usize) < ACTIONS));
+        assert!(table.bridge(j).is_none_or(|bridge| (bridge.action as usize) < ACTIONS));
+    }
+    let mut transitions = MentorTransitions::new(DIM);
+    let _ = transitions.decode(&words(bytes));
+    assert!((0..transitions.len()).all(|j| transitions.state(j).iter().all(|x| x.is_finite())));
+}
+
+/// Frames: as they are, and with the header that makes their bytes the body.
+pub(crate) fn frames(bytes: &[u8]) {
+    let plan = Kind { magic: *b"TRPLAN\0\0", version: 1 };
+    let actor = Kind { magic: *b"TRACTOR\0", version: 1 };
+    let _ = RunPlan::decode(bytes);
+    let _ = RunPlan::decode(&framed(plan, bytes));
+    let _ = codec::decode::<Evaluation>(EVALUATION_KIND, bytes);
+    let _ = codec::decode::<Evaluation>(EVALUATION_KIND, &framed(EVALUATION_KIND, bytes));
+    let mut worker = worker();
+    let before = worker.snapshot().unwrap();
+    for snapshot in [bytes.to_vec(), framed(actor, bytes)] {
+        if worker.restore(&snapshot).is_err() {
+            assert_eq!(worker.snapshot().unwrap(), before, "a refused snapshot changes nothing");
+        }
+    }
+}
+
+/// A frame of `kind` around `body`, whatever that is.
+fn framed(kind: Kind, body: &[u8]) -> Vec<u8> {
+    let length = (body.len() as u64).to_le_bytes();
+    let checksum = crc32c::crc32c(body).to_le_bytes();
+    [&kind.magic[..], &kind.version.to_le_bytes(), &length, &checksum, body].concat()
+}
+
+/// An actor on the smallest of mazes.
+pub(crate) fn worker() -> Worker {
+    let mut config = Config::default();
+    config.env.layout = Some("S.\n.G\n".into());
+    let env = trestle_actor::env::build(&config.env).unwrap();
+    let spec = env.spec().clone();
+    Worker::new(&RunPlan { run: 7, config, spec, mentor_len: 0, resume_tick: None, restarts: 0 }, 0).unwrap()
+}
+
+/// A map's text.
+pub(crate) fn map(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    if let Ok(map) = Map::parse("map", &text) {
+        assert!(map.is_free(map.start()) && map.is_free(map.goal()));
+    }
+}
+
+/// A configuration's text.
+pub(crate) fn config(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    if let Ok(config) = config::parse_toml("config", &text)
+        && config.validate().is_ok()
+    {
+        let again = config::parse_toml("again", &config::to_toml(&config)).unwrap();
+        assert_eq!(again, config);
+    }
+}
+
+/// A demonstration's file.
+pub(crate) fn demonstration(bytes: &[u8]) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("demo.csv");
+    fs::write(&path, bytes).unwrap();
+    if let Ok(demo) = demo_file::read(&path) {
+        assert!(demo.n_transitions() > 0 && demo.states().iter().all(|x| x.is_finite()));
+    }
+}
+
+/// The files of a replay: the head, then a segment that begins where bytes 8 to 15 of the head say.
+pub(crate) fn replay(bytes: &[u8]) {
+    let mut replay = Replay::new(8, DIM).unwrap();
+    let split = bytes.len().min(64 + 8 * 8);
+    let (head, segment) = bytes.split_at(split);
+    if replay.read_head(&mut &head[..]).is_err() {
+        return;
+    }
+    let bounds = Bounds { n_actions: ACTIONS, mentor_len: MENTOR, actors: 3 };
+    let spans: Vec<Span> = replay.segments(&[]).into_iter().map(|(span, _)| span).collect();
+    for &span in &spans {
+        if replay.read_segment(span, &mut &segment[..]).is_ok() && replay.check(&bounds).is_ok() {
+            let entry = replay.get(replay.slot(span.first));
+            assert!((entry.transition.action as usize) < ACTIONS);
+        }
+    }
+}
+
+/// A MANIFEST that its COMPLETE vouches for.
+pub(crate) fn manifest(bytes: &[u8]) {
+    let dir = tempfile::tempdir().unwrap();
+    let own = checkpoint::directory(dir.path(), 3);
+    fs::create_dir_all(&own).unwrap();
+    fs::write(own.join("MANIFEST"), bytes).unwrap();
+    fs::write(own.join("COMPLETE"), format!("{:08x}\n", crc32c::crc32c(bytes))).unwrap();
+    // Its files are not there, so that it can never be whole.
+    assert_eq!(checkpoint::newest_complete(dir.path()).unwrap(), None);
+    let _ = checkpoint::load_actors(&own);
+}
+
+/// Sound inputs, from which damaged ones are made: a decoder's name and its bytes.
+pub(crate) fn seeds() -> Vec<(&'static str, Vec<u8>)> {
+    fn bytes<H: Pod + Zeroable>(header: H, payload: &[u32]) -> Vec<u8> {
+        [bytemuck::bytes_of(&header), bytemuck::cast_slice(payload)].concat()
+    }
+    let mut batch = Batch::default();
+    batch.prepare(BatchHeader { run: 7, count: 3, obs_dim: DIM as u32, ..BatchHeader::default() });
+    let tick = Tick { run: 7, tick: 1, kind: 1, amount: 4, ..Tick::default() };
+    let weights = [0.5_f32, -1.0, 2.0, 3.0];
+    let answer = ObserveAnswer { count: 2, ..ObserveAnswer::default() };
+    let mut table = Vec::new();
+    AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
+    let config = Config::default();
+    let evaluation = Evaluation { evaluation: 3, episodes: Vec::new() };
+    let snapshot = worker().snapshot().unwrap();
+    let mut replay = Replay::new(8, DIM).unwrap();
+    for _ in 0..8 {
+        replay.push(&batch.transition(0), 1, 2);
+    }
+    let (span, _) = replay.segments(&[])[0];
+    let entries = "{\"name\": \"model.safetensors\", \"bytes\": 4, \"crc32c\": 5}";
+    let manifest = format!(
+        "{{\"format\": {}, \"version\": \"0.1.0\", \"tick\": 3, \"configuration\": \"ab\", \"counters\": \
+         {{\"episodes\": 1, \"env_steps\": 2, \"grad_steps\": 3}}, \"cut_short\": false, \"files\": [{entries}]}}",
+        checkpoint::FORMAT
+    );
+    vec![
+        ("messages", bytes(batch.header, batch.payload())),
+        ("messages", bytes(tick, &[])),
+        ("messages", bytes(WeightsHeader::new(7, 4, &[1, 2], &weights), bytemuck::cast_slice(&weights))),
+        ("messages", bytes(answer, &[1, NONE])),
+        ("messages", bytemuck::cast_slice(&table).to_vec()),
+        ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),
+        ("frames", snapshot.clone()),
+        ("frames", snapshot[24..].to_vec()),
+        ("map", b"S..\n.#.\n..G\n".to_vec()),
+        ("config", config::to_toml(&config).into_bytes()),
+        ("config", b"base = \"maze-small\"\n[learner]\nhidden = [8, 8]\n".to_vec()),
+        ("demonstration", b"trajectory,terminal,x,y\n0,0,1,2\n0,0,2,2\n0,1,3,2\n".to_vec()),
+        ("replay", [replay.head(), replay.segment(span)].concat()),
+        ("manifest", manifest.into_bytes()),
+    ]
+}
