@@ -89,7 +89,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
 /// The mentor of the run, if its algorithm has one, from the demonstration in the run's directory.
 fn mentor(prepared: &Prepared) -> Result<Option<Mentor>> {
     let plan: &RunPlan = prepared.plan();
-    if plan.mentor_len == 0 {
+    if plan.mentor_len() == 0 {
         return Ok(None);
     }
     let demonstration = demo_file::read(&prepared.dir().demonstration())?;

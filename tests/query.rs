@@ -28,7 +28,7 @@ impl Asker {
 
     /// One question of each kind, every answer checked.
     fn round(&mut self, transitions: &MentorTransitions) -> Result<Stats, LinkError> {
-        let len = self.plan.mentor_len as u32;
+        let len = self.plan.mentor_len() as u32;
         self.ask(STATS, 0, 0, &[])?;
         let [mentor, feasible, bridged, stored, bridge_len_mean, e_kl_mean] = self.answer[..] else {
             panic!("six words are expected: {:?}", self.answer);
@@ -61,7 +61,7 @@ impl Asker {
 
     /// Requests that cannot be right.
     fn nonsense(&mut self) {
-        let len = self.plan.mentor_len as u32;
+        let len = self.plan.mentor_len() as u32;
         let cases: [(u32, u32, u32, &[f32], &str); 9] = [
             (99, 0, 0, &[], "unknown operation"),
             (0, 0, 0, &[], "unknown operation"),
@@ -100,7 +100,7 @@ fn a_client_gets_sound_answers_and_the_run_does_not_notice() {
     let mut asker = Asker { client: client.unwrap(), plan, answer: Vec::new() };
     run.wait_for("the mentor-server", || asker.ask(STATS, 0, 0, &[]).is_ok());
 
-    let len = asker.plan.mentor_len as u32;
+    let len = asker.plan.mentor_len() as u32;
     assert_eq!(asker.ask(TRANSITIONS, 0, len, &[]).unwrap(), len);
     let mut transitions = MentorTransitions::new(2);
     transitions.decode(&asker.answer).unwrap();

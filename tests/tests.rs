@@ -15,6 +15,7 @@ mod errors;
 mod faults;
 mod host;
 mod hostile;
+mod mentors;
 mod query;
 mod resume;
 mod schedule;

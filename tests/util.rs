@@ -333,6 +333,8 @@ pub(crate) struct Trace {
     pub(crate) evals: Vec<Vec<String>>,
     /// The rows of `metrics.jsonl` that belong to episodes, without `time/time_elapsed`.
     pub(crate) episodes: Vec<Value>,
+    /// `mentor.csv`, empty where there is no mentor.
+    pub(crate) mentor: String,
 }
 
 impl Trace {
@@ -354,6 +356,7 @@ impl Trace {
             result,
             evals: evals.lines().map(without_wall).collect(),
             episodes,
+            mentor: fs::read_to_string(dir.mentor()).unwrap_or_default(),
         }
     }
 }

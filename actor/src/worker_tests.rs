@@ -9,7 +9,7 @@ fn plan(overrides: &[&str]) -> RunPlan {
     let mut config = config::load("maze-small", &overrides).unwrap();
     crate::env::resolve(&mut config.env, config.run.seed).unwrap();
     let spec = build(&config.env).unwrap().spec().clone();
-    RunPlan { run: 77, config, spec, mentor_len: 0, resume_tick: None, restarts: 0 }
+    RunPlan { run: 77, config, spec, mentors: Vec::new(), resume_tick: None, restarts: 0 }
 }
 
 /// A plan on the map `layout` with actions W and E, a network without influence but its output's bias.

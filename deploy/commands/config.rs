@@ -22,10 +22,10 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             if let Some(best) = spec.best_return {
                 outln!("  best return    {best:.2}");
             }
-            if let Some(demonstration) = &resolved.demonstration {
-                outln!("  demonstration  {} transitions", demonstration.n_transitions());
+            if let Some(mentors) = &resolved.mentors {
+                outln!("  demonstration  {} transitions", mentors.all.n_transitions());
             }
-            if let Some(warning) = resolved.warning() {
+            for warning in resolved.warnings() {
                 outln!("warning: {warning}");
             }
         }

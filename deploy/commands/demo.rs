@@ -7,22 +7,22 @@ use std::path::Path;
 use std::process::ExitCode;
 use trestle_actor::env::maze::{cells, draw, map_of};
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::summary::summarise;
-use trestle_proto::config::{self, Algo, Config, EnvKind};
+use trestle_proto::config::{self, Algo, Config, Demos, EnvKind, PLAN};
 use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Demo) -> Result<ExitCode> {
     match args {
         Demo::Plan { source, out, overwrite } => {
             let mut config = config::load(&source.config, &source.sets)?;
-            config.mentor.demo = "plan".into();
+            config.mentor.demo = Demos::one(PLAN);
             ensure!(
                 *overwrite || !out.exists(),
                 "{} exists; accepted: another --out, or --overwrite",
                 out.display()
             );
             let resolved = meet(config)?;
-            let demonstration = resolved.demonstration.as_ref().context("the configuration has no mentor")?;
+            let mentors = resolved.mentors.as_ref().context("the configuration has no mentor")?;
+            let demonstration = &mentors.all;
             demo_file::write(out, demonstration)?;
             outln!(
                 "{}: {} states, {} transitions",
@@ -51,20 +51,18 @@ fn inspect(demo: &Path, config: Option<&str>, sets: &[String]) -> Result<()> {
     let own = own.map(|path| path.display().to_string());
     let name = config.or(own.as_deref()).unwrap_or("maze30");
     let mut config = config::load(name, sets)?;
-    config.mentor.demo = file.display().to_string();
+    config.mentor.demo = Demos::one(file.display().to_string());
     let resolved = meet(config)?;
-    let (Some(demonstration), Some(metric)) = (&resolved.demonstration, &resolved.metric) else {
-        anyhow::bail!("{name} has no mentor");
-    };
+    let mentors = resolved.mentors.as_ref().context("the configuration has no mentor")?;
     outln!("{} with the settings of {name}", file.display());
+    outln!("{}", mentors.summary.to_string().trim_end());
     let mentor = &resolved.config.mentor;
-    outln!("{}", summarise(demonstration, metric, mentor.n as usize).to_string().trim_end());
     outln!("thresholds    mentor.e_th {}, mentor.e_infeas {}", mentor.e_th, mentor.e_infeas);
-    if let Some(warning) = resolved.warning() {
+    for warning in resolved.warnings() {
         outln!("warning: {warning}");
     }
     if resolved.config.env.kind == EnvKind::Maze {
-        outln!("{}", draw(&map_of(&resolved.config.env)?, &cells(demonstration.states()), 'm'));
+        outln!("{}", draw(&map_of(&resolved.config.env)?, &cells(mentors.all.states()), 'm'));
     }
     Ok(())
 }

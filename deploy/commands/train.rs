@@ -28,7 +28,7 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         Existing::Resume => prepare::resolve_run(&root, &config)?,
         Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
     };
-    if let Some(warning) = resolved.warning() {
+    for warning in resolved.warnings() {
         crate::output::say(&format!("warning: {warning}"));
     }
     // From here on there is something that an early Ctrl-C must not leave behind.

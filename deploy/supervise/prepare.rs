@@ -18,9 +18,9 @@ use trestle_learner::record::RunResult;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::demonstration::Demonstration;
 use trestle_mentor_server::metric::Metric;
-use trestle_mentor_server::summary::summarise;
-use trestle_proto::config::{self, Config, Mode};
-use trestle_proto::plan::RunPlan;
+use trestle_mentor_server::summary::{Summary, summarise};
+use trestle_proto::config::{self, Config, Demos, Mode, PLAN, Threshold};
+use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::{RunDir, write_atomically};
 use trestle_proto::space::EnvSpec;
 use trestle_proto::transport::iceoryx::Domain;
@@ -43,8 +43,37 @@ pub(crate) struct Resolved {
     pub(crate) config: Config,
     pub(crate) spec: EnvSpec,
     /// None for `dqn`.
-    pub(crate) demonstration: Option<Demonstration>,
-    pub(crate) metric: Option<Metric>,
+    pub(crate) mentors: Option<Mentors>,
+}
+
+/// What a run learns from, under its metric.
+#[derive(Clone, Debug)]
+pub(crate) struct Mentors {
+    /// The demonstrations by name, in the order of `mentor.demo`.
+    each: Vec<(String, Demonstration)>,
+    /// All of them as one.
+    pub(crate) all: Demonstration,
+    pub(crate) summary: Summary,
+}
+
+impl Mentors {
+    /// Puts numbers in the place of thresholds that are `auto`.
+    fn resolve_thresholds(&self, mentor: &mut config::Mentor) -> Result<()> {
+        if mentor.e_th != Threshold::Auto && mentor.e_infeas != Threshold::Auto {
+            return Ok(());
+        }
+        let auto = self.summary.auto().context(
+            "mentor.e_th or mentor.e_infeas is auto, but no state of the demonstration differs from those after it; \
+             accepted: a number above 0",
+        )?;
+        for (threshold, kl) in [(&mut mentor.e_th, auto.e_th), (&mut mentor.e_infeas, auto.e_infeas)] {
+            if *threshold == Threshold::Auto {
+                ensure!(kl > 0.0, "the demonstration's steps are too small for thresholds that are auto");
+                *threshold = Threshold::Kl(kl);
+            }
+        }
+        Ok(())
+    }
 }
 
 /// A run directory that is ready for its processes. If this goes before the run has begun to train, the directory
@@ -85,11 +114,19 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
     typed.env.layout.clone_from(&own.env.layout);
-    if own.mentor.demo != "plan" && typed.mentor.demo != "plan" {
-        typed.mentor.demo.clone_from(&own.mentor.demo);
+    typed.mentor.demo = typed.mentor.demo.map_files(|name, source| {
+        own.mentor.demo.get(name).filter(|own| *own != PLAN).unwrap_or(source).into()
+    });
+    let demo = own.mentor.demo.clone();
+    own.mentor.demo = demo.map_files(|name, _| copy_of(&dir, &demo, name).display().to_string());
+    let mut resolved = meet(own)?;
+    resolved.config.mentor.demo = demo;
+    let own = &resolved.config;
+    if let Some(mentors) = &resolved.mentors {
+        mentors.resolve_thresholds(&mut typed.mentor)?;
     }
-    if own != typed {
-        let (old, new) = (config::to_toml(&own), config::to_toml(&typed));
+    if *own != typed {
+        let (old, new) = (config::to_toml(own), config::to_toml(&typed));
         let differing = old.lines().zip(new.lines()).find(|(old, new)| old != new);
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
@@ -98,47 +135,58 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
             root.display()
         );
     }
-    let demo = own.mentor.demo.clone();
-    if demo != "plan" {
-        own.mentor.demo = dir.demonstration().display().to_string();
-    }
-    let mut resolved = meet(own)?;
-    resolved.config.mentor.demo = demo;
     Ok(resolved)
 }
 
-/// A configuration with its map meets the environment and the demonstration.
-fn meet(config: Config) -> Result<Resolved> {
+/// Where the run in `dir` keeps its own copy of the demonstration called `name`, one of `demos`.
+fn copy_of(dir: &RunDir, demos: &Demos, name: &str) -> PathBuf {
+    if demos.is_one() { dir.demonstration() } else { dir.demonstration_of(name) }
+}
+
+/// A configuration with its map meets the environment and the demonstrations.
+fn meet(mut config: Config) -> Result<Resolved> {
     let env = trestle_actor::env::build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
-    let (demonstration, metric) = if config.run.algo.has_mentor() {
-        let demonstration = demonstration(&config, &spec)?;
-        let metric = Metric::from_config(
-            config.mentor.covariance,
-            config.mentor.sigma_floor,
-            &spec.scale,
-            &demonstration,
-        )?;
-        (Some(demonstration), Some(metric))
+    let mentors = if config.run.algo.has_mentor() {
+        let mentors = mentors(&config, &spec)?;
+        mentors.resolve_thresholds(&mut config.mentor)?;
+        Some(mentors)
     } else {
-        (None, None)
+        None
     };
-    let resolved = Resolved { config, spec, demonstration, metric };
+    let resolved = Resolved { config, spec, mentors };
     trestle_qnet::network_of(&resolved.plan(0, None))?;
     Ok(resolved)
 }
 
-/// The demonstration that `config` names: planned, or read from a file.
-fn demonstration(config: &Config, spec: &EnvSpec) -> Result<Demonstration> {
-    if config.mentor.demo == "plan" {
+/// The demonstrations that `config` names.
+fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
+    let each = config.mentor.demo.iter().map(|(name, source)| {
+        let demonstration = demonstration(config, source, spec)?;
+        Ok((name.to_string(), demonstration))
+    });
+    let each = each.collect::<Result<Vec<_>>>()?;
+    let mut rest = each.iter();
+    let (_, first) = rest.next().context("mentor.demo names no demonstration")?;
+    let mut all = first.clone();
+    rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
+    let mentor = &config.mentor;
+    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &spec.scale, &all)?;
+    let summary = summarise(&all, &metric, mentor.n as usize);
+    Ok(Mentors { each, all, summary })
+}
+
+/// The demonstration from `source`: planned, or read from a file.
+fn demonstration(config: &Config, source: &str, spec: &EnvSpec) -> Result<Demonstration> {
+    if source == PLAN {
         let states = trestle_actor::env::plan_states(&config.env, &config.mentor.actions)?;
         let names = (0..spec.obs_dim()).map(|i| format!("s{i}")).collect();
         let mut demonstration = Demonstration::new(names)?;
         demonstration.push_trajectory(&states.concat(), true)?;
         return Ok(demonstration);
     }
-    let path = Path::new(&config.mentor.demo);
+    let path = Path::new(source);
     let demonstration = demo_file::read(path)?;
     let (found, expected) = (demonstration.dim(), spec.obs_dim());
     ensure!(
@@ -164,18 +212,25 @@ fn demonstration(config: &Config, spec: &EnvSpec) -> Result<Demonstration> {
 
 impl Resolved {
     /// What is likely to be a mistake, though it could be run.
-    pub(crate) fn warning(&self) -> Option<String> {
-        let (demonstration, metric) = (self.demonstration.as_ref()?, self.metric.as_ref()?);
+    pub(crate) fn warnings(&self) -> Vec<String> {
         let mentor = &self.config.mentor;
-        summarise(demonstration, metric, mentor.n as usize).warning(mentor.e_th)
+        match (&self.mentors, mentor.e_th.known(), mentor.e_infeas.known()) {
+            (Some(mentors), Some(e_th), Some(e_infeas)) => mentors.summary.warnings(e_th, e_infeas),
+            _ => Vec::new(),
+        }
     }
 
+    /// What the run's processes need to know.
     fn plan(&self, run: u64, resume_tick: Option<u64>) -> RunPlan {
+        let part = |(name, demonstration): &(String, Demonstration)| MentorPart {
+            name: name.clone(),
+            transitions: demonstration.n_transitions(),
+        };
         RunPlan {
             run,
             config: self.config.clone(),
             spec: self.spec.clone(),
-            mentor_len: self.demonstration.as_ref().map_or(0, Demonstration::n_transitions),
+            mentors: self.mentors.iter().flat_map(|mentors| &mentors.each).map(part).collect(),
             resume_tick,
             restarts: 0,
         }
@@ -204,11 +259,14 @@ impl Resolved {
             ),
             _ => None,
         };
-        if resume_tick.is_none() && self.config.mentor.demo != "plan" {
+        if resume_tick.is_none() {
             // So that the run's own configuration needs no other file.
-            let copy = std::path::absolute(dir.demonstration())
-                .with_context(|| format!("cannot find {}", dir.demonstration().display()))?;
-            self.config.mentor.demo = copy.display().to_string();
+            let base = RunDir::new(
+                std::path::absolute(root).with_context(|| format!("cannot find {}", root.display()))?,
+            );
+            let demos = &self.config.mentor.demo;
+            self.config.mentor.demo =
+                demos.map_files(|name, _| copy_of(&base, demos, name).display().to_string());
         }
         let mut plan = self.plan(new_identity(), resume_tick);
         if resume_tick.is_some() {
@@ -341,8 +399,17 @@ impl Prepared {
         write_atomically(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
         let build = serde_json::to_string_pretty(&BuildInfo::new())?;
         write_atomically(&dir.build(), format!("{build}\n").as_bytes())?;
-        if let Some(demonstration) = resolved.demonstration.as_ref().filter(|_| self.fresh) {
-            demo_file::write(&dir.demonstration(), demonstration)?;
+        if let Some(mentors) = resolved.mentors.as_ref().filter(|_| self.fresh) {
+            demo_file::write(&dir.demonstration(), &mentors.all)?;
+            let demos = &resolved.config.mentor.demo;
+            for (name, demonstration) in mentors.each.iter().filter(|_| !demos.is_one()) {
+                let path = dir.demonstration_of(name);
+                if let Some(parent) = path.parent() {
+                    fs::create_dir_all(parent)
+                        .with_context(|| format!("cannot make {}", parent.display()))?;
+                }
+                demo_file::write(&path, demonstration)?;
+            }
         }
         write_atomically(&dir.plan(), &self.plan.encode()?)?;
         Ok(())

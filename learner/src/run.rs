@@ -55,12 +55,12 @@ pub fn run(
     progress: impl FnMut(&Progress),
 ) -> Result<RunResult, RunError> {
     link.welcome(stop)?;
-    let mentor = if plan.mentor_len > 0 { Some(fetch_transitions(link, plan)?) } else { None };
+    let mentor = if plan.mentor_len() > 0 { Some(fetch_transitions(link, plan)?) } else { None };
     let (session, behaviour) = match plan.resume_tick {
         None => (Session::new(plan, dir, mentor, progress)?, None),
         Some(tick) => {
             let Resumed { session, behaviour } = Session::resume(plan, dir, tick, mentor, progress)?;
-            if plan.mentor_len > 0 {
+            if plan.mentor_len() > 0 {
                 rebuild_mentor(link, plan, &session)?;
             }
             (session, behaviour)
@@ -233,7 +233,7 @@ impl<L: LearnerLink> Lockstep<'_, L> {
         // Once the run has reached its limits, what the agent drops still counts for the mentor-server.
         let mut first_index = self.session.agent().counters().env_steps;
         for (actor, batch) in self.batches.iter().enumerate() {
-            let observed = if self.plan.mentor_len > 0 {
+            let observed = if self.plan.mentor_len() > 0 {
                 let request = request(self.plan, tick, first_index, OBSERVE, actor as u32, batch.len());
                 let start = Instant::now();
                 self.link.observe(&request, batch.payload(), &mut self.observed)?;
@@ -285,19 +285,20 @@ fn request(plan: &RunPlan, tick: u64, first_index: u64, op: u32, actor: u32, cou
 fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
     let mut transitions = MentorTransitions::new(plan.spec.obs_dim());
     let mut words = Vec::new();
-    while transitions.len() < plan.mentor_len {
+    while transitions.len() < plan.mentor_len() {
         let before = transitions.len();
         let request = QueryRequest {
             run: plan.run,
             op: TRANSITIONS,
             first: before as u32,
-            count: ((plan.mentor_len - before) as u32).min(MAX_QUERY_ROWS),
+            count: ((plan.mentor_len() - before) as u32).min(MAX_QUERY_ROWS),
             obs_dim: plan.spec.obs_dim() as u32,
         };
         link.query(&request, &[], &mut words)?;
         transitions.decode(&words)?;
-        if transitions.len() == before || transitions.len() > plan.mentor_len {
-            let text = format!("{} mentor transitions, {} are expected", transitions.len(), plan.mentor_len);
+        if transitions.len() == before || transitions.len() > plan.mentor_len() {
+            let text =
+                format!("{} mentor transitions, {} are expected", transitions.len(), plan.mentor_len());
             return Err(LinkError::Unexpected(text).into());
         }
     }

@@ -7,10 +7,11 @@
 use crate::agent::{Agent, AgentError, TrainStats};
 use crate::checkpoint::{self, CheckpointError, Cut, Saver};
 use crate::record::{
-    Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, Outcome, PROGRESS_EVERY, Progress, RecordError,
-    Recorder, RecorderState, RunResult, Settings,
+    Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
+    RecordError, Recorder, RecorderState, RunResult, Settings, write_mentor,
 };
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::time::{Duration, Instant};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError, Kind};
@@ -62,6 +63,7 @@ pub enum SessionError {
 /// A training run between its first and its last tick.
 pub struct Session<'a> {
     plan: &'a RunPlan,
+    dir: &'a RunDir,
     agent: Agent,
     recorder: Recorder,
     saver: Saver,
@@ -104,12 +106,13 @@ impl<'a> Session<'a> {
     /// The beginning of `plan`'s run. `progress` is called a few times a second.
     pub fn new(
         plan: &'a RunPlan,
-        dir: &RunDir,
+        dir: &'a RunDir,
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Self, SessionError> {
         Ok(Self {
             plan,
+            dir,
             agent: Agent::new(plan, mentor)?,
             recorder: Recorder::create(dir.root(), settings(plan))?,
             saver: Saver::new(dir.root()),
@@ -128,7 +131,7 @@ impl<'a> Session<'a> {
     /// Goes on after checkpoint `tick` of the run's directory.
     pub fn resume(
         plan: &'a RunPlan,
-        dir: &RunDir,
+        dir: &'a RunDir,
         tick: u64,
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
@@ -138,6 +141,7 @@ impl<'a> Session<'a> {
         let counters = loaded.agent.counters();
         let session = Self {
             plan,
+            dir,
             agent: loaded.agent,
             recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
             saver: Saver::after(dir.root(), tick)?,
@@ -312,6 +316,7 @@ impl<'a> Session<'a> {
         let run = codec::encode(KIND, &state)?;
         let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
         self.saver.save(&cut, records)?;
+        self.write_mentor()?;
         tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");
         Ok(())
     }
@@ -320,10 +325,17 @@ impl<'a> Session<'a> {
     pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
         self.saver.wait()?;
         self.show_progress();
+        self.write_mentor()?;
         let gauges = self.gauges();
         let restarts = self.plan.restarts;
         let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted };
         Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
+    }
+
+    /// Brings `mentor.csv` up to date.
+    fn write_mentor(&self) -> Result<(), SessionError> {
+        let Some(rows) = self.agent.mentor_rows() else { return Ok(()) };
+        Ok(write_mentor(self.dir.root(), &self.plan.mentors, self.plan.spec.obs_dim(), rows)?)
     }
 
     fn show_progress(&mut self) {
@@ -342,15 +354,35 @@ impl<'a> Session<'a> {
             ipc_wait_frac: self.waited.as_secs_f64() / self.since.elapsed().as_secs_f64(),
             ..Gauges::default()
         };
-        if let Some(summary) = self.agent.mentor_summary() {
-            let share = |n: usize| n as f64 / summary.len as f64;
-            gauges.feasible_frac = share(summary.feasible);
-            gauges.bridged_frac = share(summary.bridged);
-            gauges.e_kl_mean = summary.e_kl_mean;
-            gauges.bridge_len_mean = summary.bridge_len_mean;
+        if let Some(all) = self.mentor_gauges("", 0..self.plan.mentor_len()) {
+            gauges.feasible_frac = all.feasible_frac;
+            gauges.bridged_frac = all.bridged_frac;
+            gauges.e_kl_mean = all.e_kl_mean;
+            gauges.bridge_len_mean = all.bridge_len_mean;
             gauges.mentor_loss_frac = self.stats.mentor_frac();
+            gauges.searches_cut_short = self.agent.searches_cut_short().map_or(f64::NAN, |n| n as f64);
+        }
+        if self.plan.mentors.len() > 1 {
+            let mut first = 0;
+            for part in &self.plan.mentors {
+                gauges.mentors.extend(self.mentor_gauges(&part.name, first..first + part.transitions));
+                first += part.transitions;
+            }
         }
         gauges
+    }
+
+    fn mentor_gauges(&self, name: &str, range: Range<usize>) -> Option<MentorGauges> {
+        let summary = self.agent.mentor_summary(range)?;
+        let share = |n: usize| n as f64 / summary.len as f64;
+        Some(MentorGauges {
+            name: name.into(),
+            feasible_frac: share(summary.feasible),
+            bridged_frac: share(summary.bridged),
+            e_kl_mean: summary.e_kl_mean,
+            bridge_len_mean: summary.bridge_len_mean,
+            visited_frac: share(summary.visited),
+        })
     }
 }
 

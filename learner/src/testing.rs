@@ -9,7 +9,7 @@ use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Tra
 use trestle_proto::config::{Config, load};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
@@ -39,18 +39,19 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
     };
-    let mentor_len = if config.run.algo.has_mentor() { MENTOR_LEN } else { 0 };
-    RunPlan { run: 1, config, spec, mentor_len, resume_tick: None, restarts: 0 }
+    let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
+    let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };
+    RunPlan { run: 1, config, spec, mentors, resume_tick: None, restarts: 0 }
 }
 
 /// The demonstration of [`plan`]; none for `dqn`.
 pub(crate) fn demonstration(plan: &RunPlan) -> Option<MentorTransitions> {
     let mut transitions = MentorTransitions::new(2);
-    for j in 0..plan.mentor_len {
+    for j in 0..plan.mentor_len() {
         let x = j as f32 - 3.0;
-        transitions.push(&[x, 0.5 * x], &[x + 1.0, 0.5 * x + 0.5], j + 1 == plan.mentor_len);
+        transitions.push(&[x, 0.5 * x], &[x + 1.0, 0.5 * x + 0.5], j + 1 == plan.mentor_len());
     }
-    (plan.mentor_len > 0).then_some(transitions)
+    (plan.mentor_len() > 0).then_some(transitions)
 }
 
 /// What actors and mentor-server would send, drawn at random.
@@ -63,7 +64,7 @@ pub(crate) struct World {
 
 impl World {
     pub(crate) fn new(plan: &RunPlan, seed: u64) -> Self {
-        let table = AnnotationTable::new(plan.mentor_len, 2, N_ACTIONS as usize);
+        let table = AnnotationTable::new(plan.mentor_len(), 2, N_ACTIONS as usize);
         Self { rng: Stream::seed_from_u64(seed), table, plan: plan.clone() }
     }
 
@@ -87,12 +88,12 @@ impl World {
             let reward = self.rng.random_range(-3..=3) as f32 * 0.5;
             batch.set(index, &Transition { obs: &obs, next_obs: &next_obs, action, reward, flags });
         }
-        let observed = (self.plan.mentor_len > 0).then(|| self.answer(count));
+        let observed = (self.plan.mentor_len() > 0).then(|| self.answer(count));
         (batch, observed)
     }
 
     fn answer(&mut self, count: u32) -> Observed {
-        let len = self.plan.mentor_len as u32;
+        let len = self.plan.mentor_len() as u32;
         let mut observed = Observed::default();
         for _ in 0..count {
             let j = self.rng.random_range(0..len + 2);

@@ -87,6 +87,27 @@ impl Demonstration {
         Ok(())
     }
 
+    /// Appends all trajectories of `other`, a demonstration of as many features. Names of features stay.
+    ///
+    /// # Errors
+    /// Nothing is appended if the numbers of features differ or the limit would be exceeded.
+    pub fn append(&mut self, other: &Self) -> Result<(), DemonstrationError> {
+        if other.dim() != self.dim() {
+            return Err(DemonstrationError::Length { numbers: other.dim(), dim: self.dim() });
+        }
+        let transitions = self.n_transitions() + other.n_transitions();
+        if transitions > MAX_MENTOR_TRANSITIONS {
+            return Err(DemonstrationError::TooLong(transitions));
+        }
+        let first = self.n_states();
+        self.states.extend_from_slice(&other.states);
+        self.trajectories.extend(other.trajectories.iter().map(|t| Trajectory {
+            states: first + t.states.start..first + t.states.end,
+            terminal: t.terminal,
+        }));
+        Ok(())
+    }
+
     /// Names of the features.
     pub fn names(&self) -> &[String] {
         &self.names
@@ -136,6 +157,7 @@ impl Demonstration {
     pub fn transitions(&self) -> MentorTransitions {
         let mut out = MentorTransitions::new(self.dim());
         for t in &self.trajectories {
+            out.begin_trajectory();
             for m in t.states.start..t.states.end - 1 {
                 out.push(self.state(m), self.state(m + 1), t.terminal && m + 2 == t.states.end);
             }
@@ -233,6 +255,19 @@ mod tests {
             let expected: Vec<_> = (0..3).rev().filter(|&j| order.ahead(j, n).contains(&m)).collect();
             assert_eq!(order.behind(m, n).collect::<Vec<_>>(), expected);
         }
+    }
+
+    #[test]
+    fn one_after_the_other() {
+        let (mut both, other) = (two_trajectories(), two_trajectories());
+        both.append(&other).unwrap();
+        assert_eq!((both.n_trajectories(), both.n_states(), both.n_transitions()), (4, 10, 6));
+        assert_eq!(both.trajectory(3), 8..10);
+        assert!(both.terminal(2) && !both.terminal(3));
+        let transitions = both.transitions();
+        assert_eq!((0..6).filter(|&j| transitions.first(j)).collect::<Vec<_>>(), [0, 2, 3, 5]);
+        let wide = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
+        assert!(both.append(&wide).is_err());
     }
 
     #[test]

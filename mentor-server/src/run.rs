@@ -129,7 +129,8 @@ impl MentorHandler for Server<'_> {
                 let changed = (self.observed.changed.len() / record_words(self.obs_dim)) as u32;
                 out.extend_from_slice(&self.observed.mentor);
                 out.extend_from_slice(&self.observed.changed);
-                ObserveAnswer { first_index, status: OK, count, changed, reserved: 0 }
+                let cut_short = self.observed.cut_short;
+                ObserveAnswer { first_index, status: OK, count, changed, cut_short }
             }
             Err(status) => ObserveAnswer { first_index, status, ..ObserveAnswer::default() },
         }

@@ -18,6 +18,8 @@ pub const MAX_WIDTH: usize = 4096;
 pub const MAX_REPLAY: usize = 100_000_000;
 /// Most transitions in a demonstration.
 pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
+/// Most demonstrations that a run learns from.
+pub const MAX_MENTORS: usize = 64;
 /// Most annotations or mentor transitions in one answer of the mentor-server.
 pub const MAX_QUERY_ROWS: u32 = 4096;
 /// Most `mentor/query` clients at once.

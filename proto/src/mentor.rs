@@ -1,6 +1,6 @@
 //! The mentor's transitions as the learner sees them: states only, fetched once from the mentor-server.
 
-use crate::batch::TERMINATED;
+use crate::batch::{FIRST, TERMINATED};
 use bytemuck::cast_slice;
 
 /// Words of one mentor transition in an answer: s_m, s'_m, flags.
@@ -15,6 +15,8 @@ pub struct MentorTransitions {
     s: Vec<f32>,
     next: Vec<f32>,
     flags: Vec<u32>,
+    /// What the next transition's flags begin with.
+    pending: u32,
 }
 
 /// Words of a peer that are no mentor transitions.
@@ -39,12 +41,18 @@ impl MentorTransitions {
         Self { obs_dim, ..Self::default() }
     }
 
+    /// The next transition begins a trajectory.
+    pub fn begin_trajectory(&mut self) {
+        self.pending = FIRST;
+    }
+
     /// Appends (s_m, s'_m); `terminal` where s'_m ended the mentor's episode in a terminal state.
     pub fn push(&mut self, s: &[f32], next: &[f32], terminal: bool) {
         debug_assert!(s.len() == self.obs_dim && next.len() == self.obs_dim);
         self.s.extend_from_slice(s);
         self.next.extend_from_slice(next);
-        self.flags.push(if terminal { TERMINATED } else { 0 });
+        let first = std::mem::take(&mut self.pending);
+        self.flags.push(first | if terminal { TERMINATED } else { 0 });
     }
 
     /// Number of transitions.
@@ -77,6 +85,11 @@ impl MentorTransitions {
         self.flags[j] & TERMINATED != 0
     }
 
+    /// Whether transition `j` is the first of its trajectory.
+    pub fn first(&self, j: usize) -> bool {
+        j == 0 || self.flags[j] & FIRST != 0
+    }
+
     /// Appends transition `j` to `out` as [`transition_words`] words.
     pub fn encode(&self, j: usize, out: &mut Vec<u32>) {
         out.extend_from_slice(cast_slice(self.state(j)));
@@ -99,6 +112,7 @@ impl MentorTransitions {
                 return Err(MentorTransitionsError::NotFinite(self.len()));
             }
             let (s, next) = states.split_at(d);
+            self.pending = w[2 * d] & FIRST;
             self.push(s, next, w[2 * d] & TERMINATED != 0);
         }
         Ok(())
@@ -115,14 +129,17 @@ mod tests {
         let mut sent = MentorTransitions::new(2);
         sent.push(&[0.0, 1.0], &[1.0, 1.0], false);
         sent.push(&[1.0, 1.0], &[2.0, 1.0], true);
+        sent.begin_trajectory();
+        sent.push(&[5.0, 1.0], &[6.0, 1.0], false);
         let mut words = Vec::new();
-        (0..2).for_each(|j| sent.encode(j, &mut words));
+        (0..3).for_each(|j| sent.encode(j, &mut words));
         let mut got = MentorTransitions::new(2);
         got.decode(&words).unwrap();
         assert_eq!(got, sent);
         assert!(!got.terminal(0) && got.terminal(1));
+        assert_eq!([0, 1, 2].map(|j| got.first(j)), [true, false, true]);
         assert!(got.decode(&words[1..]).is_err());
         words[1] = f32::NAN.to_bits();
-        assert_eq!(got.decode(&words), Err(MentorTransitionsError::NotFinite(2)));
+        assert_eq!(got.decode(&words), Err(MentorTransitionsError::NotFinite(3)));
     }
 }

@@ -52,8 +52,8 @@ pub struct ObserveAnswer {
     pub count: u32,
     /// Annotation records in the payload, after the indices.
     pub changed: u32,
-    /// Unused, zero.
-    pub reserved: u32,
+    /// Searches for bridges that met their limit.
+    pub cut_short: u32,
 }
 
 /// An answer that cannot be right.
@@ -84,6 +84,8 @@ pub struct Observed {
     pub mentor: Vec<u32>,
     /// Encoded annotation records that changed ([`crate::annotation`]).
     pub changed: Vec<u32>,
+    /// Searches for bridges that met their limit, and so may have missed one.
+    pub cut_short: u32,
 }
 
 impl Observed {
@@ -91,6 +93,7 @@ impl Observed {
     pub fn clear(&mut self) {
         self.mentor.clear();
         self.changed.clear();
+        self.cut_short = 0;
     }
 
     /// Copies what a peer sent and checks sizes and indices (records are checked where they are applied).
@@ -109,6 +112,7 @@ impl Observed {
         self.clear();
         self.mentor.extend_from_slice(&payload[..count]);
         self.changed.extend_from_slice(&payload[count..]);
+        self.cut_short = answer.cut_short;
         match self.mentor.iter().find(|&&j| j != NONE && j as usize >= mentor_len) {
             Some(&index) => Err(ObserveError::Index { index, len: mentor_len }),
             None => Ok(()),

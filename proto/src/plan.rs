@@ -17,15 +17,29 @@ pub struct RunPlan {
     pub config: Config,
     /// The environment's spaces.
     pub spec: EnvSpec,
-    /// Transitions of the demonstration; 0 without a mentor.
-    pub mentor_len: usize,
+    /// The demonstrations in the order of their transitions; none without a mentor.
+    pub mentors: Vec<MentorPart>,
     /// Checkpoint to go on from, as the number of its tick.
     pub resume_tick: Option<u64>,
     /// How many times the run has been started again after the death of one of its processes.
     pub restarts: u64,
 }
 
+/// One of the demonstrations of a run. All of them together are the run's one list of mentor transitions.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MentorPart {
+    /// Its name in metrics and reports.
+    pub name: String,
+    /// Its transitions, 1 or more.
+    pub transitions: usize,
+}
+
 impl RunPlan {
+    /// Transitions of all demonstrations; 0 without a mentor.
+    pub fn mentor_len(&self) -> usize {
+        self.mentors.iter().map(|part| part.transitions).sum()
+    }
+
     /// The plan as bytes of a file.
     pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
         codec::encode(KIND, self)

@@ -76,6 +76,16 @@ impl RunDir {
         self.root.join("demonstration.csv")
     }
 
+    /// The run's own copy of the demonstration called `name`, where there are several.
+    pub fn demonstration_of(&self, name: &str) -> PathBuf {
+        self.root.join("demonstrations").join(format!("{name}.csv"))
+    }
+
+    /// What was found out about each mentor transition.
+    pub fn mentor(&self) -> PathBuf {
+        self.root.join("mentor.csv")
+    }
+
     /// Greedy evaluations.
     pub fn evals(&self) -> PathBuf {
         self.root.join("evals.csv")

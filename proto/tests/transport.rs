@@ -10,7 +10,7 @@ use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Transition};
 use trestle_proto::config::{self, Config};
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::query::{OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS};
 use trestle_proto::reply::{ACTOR_STATE, Reply, ReplyHeader};
 use trestle_proto::space::EnvSpec;
@@ -37,7 +37,8 @@ fn plan(run: u64) -> RunPlan {
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
     };
-    RunPlan { run, config, spec, mentor_len: MENTOR, resume_tick: None, restarts: 0 }
+    let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
+    RunPlan { run, config, spec, mentors, resume_tick: None, restarts: 0 }
 }
 
 fn weights(version: u64) -> Vec<f32> {

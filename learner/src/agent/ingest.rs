@@ -39,6 +39,7 @@ impl Agent {
         self.check_batch(batch, observed)?;
         if let (Some(mentor), Some(observed)) = (&mut self.mentor, observed) {
             mentor.annotations.apply(&observed.changed)?;
+            mentor.searches_cut_short += u64::from(observed.cut_short);
         }
         let mut ingested = Ingested::default();
         let first = self.replay.next_index();
@@ -49,6 +50,9 @@ impl Agent {
             let transition = batch.transition(index);
             let picked = observed.map_or(NONE, |observed| observed.mentor[index]);
             self.replay.push(&transition, batch.header.actor, picked);
+            if let Some(mentor) = self.mentor.as_mut().filter(|_| picked != NONE) {
+                mentor.visited[picked as usize] += 1;
+            }
             self.counters.env_steps += 1;
             ingested.consumed += 1;
             let running = &mut self.running[batch.header.actor as usize];

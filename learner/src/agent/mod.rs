@@ -26,10 +26,11 @@ pub use ingest::{FinishedEpisode, Ingested};
 pub use state::{AgentState, Parts};
 pub use stats::{MentorSummary, TrainStats};
 
-use crate::losses::{Confidence, MentorRule};
-use crate::record::Counters;
+use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
+use crate::record::{Counters, MentorRow};
 use crate::replay::Replay;
 use sha2::{Digest, Sha256};
+use std::ops::Range;
 use step::Step;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::config::{Learner, LossKind, SelectionKind};
@@ -94,6 +95,27 @@ struct MentorSide {
     /// For each mentor transition the samples that have been trained with a mentor's loss of it: c of the
     /// confidence. A transition stands for its state s_m.
     trained: Vec<u32>,
+    /// For each mentor transition the observer transitions that it was picked for.
+    visited: Vec<u64>,
+    /// For each mentor transition the samples whose loss had a share of its L_m.
+    used: Vec<u64>,
+    /// Searches for bridges that met their limit.
+    searches_cut_short: u64,
+}
+
+impl MentorSide {
+    fn row(&self, j: usize, rule: &MentorRule) -> MentorRow<'_> {
+        let term = mentor_term(rule, j, &self.annotations, &self.transitions, 0.0);
+        MentorRow {
+            state: self.transitions.state(j),
+            first: self.transitions.first(j),
+            visited: self.visited[j],
+            used: self.used[j],
+            estimate: self.annotations.estimate(j),
+            feasible: term.is_some_and(|term| term.kind == MentorKind::Feasible),
+            bridge: self.annotations.bridge(j),
+        }
+    }
 }
 
 /// An episode under way.
@@ -104,7 +126,7 @@ struct Running {
 }
 
 impl Agent {
-    /// A new agent with the initial weights of the plan's seed. `mentor` is the demonstration, `plan.mentor_len`
+    /// A new agent with the initial weights of the plan's seed. `mentor` is the demonstration, `plan.mentor_len()`
     /// transitions of it, exactly where the algorithm learns from one.
     ///
     /// # Errors
@@ -116,6 +138,9 @@ impl Agent {
         let mentor = check_mentor(plan, mentor)?.map(|transitions| MentorSide {
             annotations: AnnotationTable::new(transitions.len(), obs_dim, n_actions),
             trained: vec![0; transitions.len()],
+            visited: vec![0; transitions.len()],
+            used: vec![0; transitions.len()],
+            searches_cut_short: 0,
             transitions,
         });
         let seed = plan.config.run.seed;
@@ -189,11 +214,21 @@ impl Agent {
         self.mentor.as_ref().map(|mentor| &mentor.annotations)
     }
 
-    /// What the annotations amount to, under this run's rule of feasibility; none for `dqn`. Looks at every
-    /// mentor transition.
-    pub fn mentor_summary(&self) -> Option<MentorSummary> {
-        let mentor = self.mentor.as_ref()?;
-        Some(MentorSummary::of(&self.settings.rule, &mentor.annotations, &mentor.transitions))
+    /// What the annotations of the mentor transitions `range` amount to, under this run's rule of feasibility; none for
+    /// `dqn`. Looks at each of them.
+    pub fn mentor_summary(&self, range: Range<usize>) -> Option<MentorSummary> {
+        Some(MentorSummary::of(&self.settings.rule, self.mentor.as_ref()?, range))
+    }
+
+    /// Searches for bridges that met their limit so far; none for `dqn`.
+    pub fn searches_cut_short(&self) -> Option<u64> {
+        self.mentor.as_ref().map(|mentor| mentor.searches_cut_short)
+    }
+
+    /// What is known of each mentor transition, and how often it mattered; none for `dqn`.
+    pub fn mentor_rows(&self) -> Option<impl Iterator<Item = MentorRow<'_>>> {
+        let (mentor, rule) = (self.mentor.as_ref()?, &self.settings.rule);
+        Some((0..mentor.transitions.len()).map(move |j| mentor.row(j, rule)))
     }
 }
 
@@ -239,7 +274,7 @@ fn check_mentor(
     let refuse = |what, found, accepted| Err(AgentError::Mentor { algo: algo.name(), what, found, accepted });
     let found = mentor.as_ref().map_or(0, MentorTransitions::len);
     // The smallest demonstration has one transition.
-    let accepted = if algo.has_mentor() { plan.mentor_len.max(1) } else { 0 };
+    let accepted = if algo.has_mentor() { plan.mentor_len().max(1) } else { 0 };
     match mentor {
         _ if found != accepted => refuse("the number of mentor transitions", found, accepted),
         Some(mentor) if mentor.obs_dim() != plan.spec.obs_dim() => {

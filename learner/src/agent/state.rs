@@ -22,6 +22,11 @@ pub struct AgentState {
     cut_short: bool,
     /// Training counts of the mentor transitions.
     trained: Vec<u32>,
+    /// For each mentor transition how often it was picked for an observer transition, and used in a sample's loss.
+    visited: Vec<u64>,
+    used: Vec<u64>,
+    /// Searches for bridges that met their limit.
+    searches_cut_short: u64,
     /// CRC-32C of the demonstration, so that an agent never goes on with another one.
     demonstration: u32,
 }
@@ -68,6 +73,9 @@ impl Agent {
             running: self.running.iter().map(|r| (r.total_reward, r.length)).collect(),
             cut_short: self.cut_short,
             trained: self.mentor.as_ref().map(|mentor| mentor.trained.clone()).unwrap_or_default(),
+            visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
+            used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
+            searches_cut_short: self.searches_cut_short().unwrap_or(0),
             demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
         }
     }
@@ -96,6 +104,8 @@ impl Agent {
         for (what, found, accepted) in [
             ("the number of actors", state.running.len() as u64, self.running.len() as u64),
             ("the number of training counts", state.trained.len() as u64, mentor_len as u64),
+            ("the number of visit counts", state.visited.len() as u64, mentor_len as u64),
+            ("the number of use counts", state.used.len() as u64, mentor_len as u64),
             ("the demonstration's checksum", state.demonstration.into(), demonstration.into()),
             ("the number of first moments", moments(&parts.adam.m), n_params as u64),
             ("the number of second moments", moments(&parts.adam.v), n_params as u64),
@@ -113,6 +123,9 @@ impl Agent {
         if let Some(mentor) = &mut self.mentor {
             mentor.annotations.apply(&parts.annotations)?;
             mentor.trained.copy_from_slice(&state.trained);
+            mentor.visited.copy_from_slice(&state.visited);
+            mentor.used.copy_from_slice(&state.used);
+            mentor.searches_cut_short = state.searches_cut_short;
         }
         self.network.load(&parts.online, &parts.target)?;
         self.weights.copy_from_slice(&parts.online);

@@ -1,8 +1,8 @@
 //! What training and the annotations amount to, for people to look at: nothing here flows back into training.
 
+use super::MentorSide;
 use crate::losses::{MentorKind, MentorRule, mentor_term};
-use trestle_proto::annotation::AnnotationTable;
-use trestle_proto::mentor::MentorTransitions;
+use std::ops::Range;
 
 /// Sums over gradient steps. Add those of several calls with [`TrainStats::merge`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -71,6 +71,8 @@ pub struct MentorSummary {
     pub feasible: usize,
     /// Those that are infeasible and whose bridge is used.
     pub bridged: usize,
+    /// Those that have been picked for an observer transition.
+    pub visited: usize,
     /// Mean e_KL over those with an estimate; NaN without any.
     pub e_kl_mean: f64,
     /// Mean length over all bridges, observer steps; NaN without any.
@@ -78,11 +80,19 @@ pub struct MentorSummary {
 }
 
 impl MentorSummary {
-    pub(super) fn of(rule: &MentorRule, table: &AnnotationTable, transitions: &MentorTransitions) -> Self {
-        let mut summary =
-            Self { len: table.len(), feasible: 0, bridged: 0, e_kl_mean: 0.0, bridge_len_mean: 0.0 };
+    pub(super) fn of(rule: &MentorRule, mentor: &MentorSide, range: Range<usize>) -> Self {
+        let (table, transitions) = (&mentor.annotations, &mentor.transitions);
+        let mut summary = Self {
+            len: range.len(),
+            feasible: 0,
+            bridged: 0,
+            visited: 0,
+            e_kl_mean: 0.0,
+            bridge_len_mean: 0.0,
+        };
         let (mut estimates, mut bridges) = (0u64, 0u64);
-        for j in 0..table.len() {
+        for j in range {
+            summary.visited += usize::from(mentor.visited[j] > 0);
             match mentor_term(rule, j, table, transitions, 0.0).map(|term| term.kind) {
                 Some(MentorKind::Feasible) => summary.feasible += 1,
                 Some(MentorKind::Bridged) => summary.bridged += 1,

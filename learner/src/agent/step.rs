@@ -58,6 +58,8 @@ pub(super) struct Step {
     pub(super) grad: Vec<f32>,
     /// What is regressed, once [`Step::choose`] has run.
     pub(super) terms: Vec<Term>,
+    /// The mentor transitions whose L_m is among the terms, one entry a sample.
+    used: Vec<u32>,
     /// Most samples.
     batch: usize,
     n_actions: usize,
@@ -116,6 +118,7 @@ impl Step {
             workspace: Workspace::new(layout, rows),
             grad: vec![0.0; layout.n_params()],
             terms: Vec::with_capacity(rows),
+            used: Vec::with_capacity(batch),
             batch,
             n_actions: layout.output(),
             slots: Vec::with_capacity(batch),
@@ -207,6 +210,7 @@ impl Step {
         stats: &mut TrainStats,
     ) {
         self.terms.clear();
+        self.used.clear();
         self.next.len = 0;
         stats.samples += self.samples.len() as u64;
         for sample in &self.samples {
@@ -238,6 +242,7 @@ impl Step {
             if let Some(term) = mentor_term(&settings.rule, candidate.j, annotations, transitions, own.reward)
             {
                 let next = (!term.terminal).then(|| self.next.push(encoding, term.next_obs));
+                self.used.push(candidate.j as u32);
                 self.terms.push(Term {
                     row: candidate.row,
                     action: term.action,
@@ -295,6 +300,11 @@ impl Step {
                 replay.set_q_past_m(sample.slot, values(&self.q, c.row, n_actions)[c.action as usize]);
             }
         }
+    }
+
+    /// Counts the samples whose loss has a share of a mentor's, by mentor transition.
+    pub(super) fn count_used(&self, used: &mut [u64]) {
+        self.used.iter().for_each(|&j| used[j as usize] += 1);
     }
 
     /// Counts the samples with a mentor's loss, by mentor transition.

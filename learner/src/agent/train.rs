@@ -42,6 +42,7 @@ impl Agent {
         step.forward_values(&self.network)?;
         step.choose(&self.replay, self.mentor.as_ref(), settings, &self.encoding, stats);
         if let Some(mentor) = &mut self.mentor {
+            step.count_used(&mut mentor.used);
             match settings.selection {
                 Selection::MinDistance => step.refresh_past(&mut self.replay),
                 Selection::Confidence(_) => step.count_trained(&mut mentor.trained),

@@ -57,7 +57,7 @@ pub fn fingerprint(plan: &RunPlan) -> String {
     (config.run.episodes, config.run.env_steps, config.run.mode) = (None, None, Mode::Lockstep);
     (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
     config.supervise = Supervise::default();
-    let text = serde_json::json!([config, plan.spec, plan.mentor_len]).to_string();
+    let text = serde_json::json!([config, plan.spec, plan.mentor_len()]).to_string();
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

@@ -105,7 +105,7 @@ pub fn load(
     let mut agent = Agent::new(plan, mentor).map_err(agent_fault)?;
     let bounds = Bounds {
         n_actions: plan.spec.n_actions(),
-        mentor_len: plan.mentor_len,
+        mentor_len: plan.mentor_len(),
         actors: plan.config.run.actors,
     };
     replay(dir, &manifest, agent.replay_mut(), &bounds)?;

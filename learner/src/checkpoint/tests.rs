@@ -190,7 +190,7 @@ fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not()
     let longer = with(&["run.env_steps=200000", "eval.every=1", "checkpoint.keep=9"]);
     assert!(load(&dir, &longer, demonstration(&longer)).is_ok());
     let mut moved = trestle_proto::mentor::MentorTransitions::new(2);
-    (0..longer.mentor_len).for_each(|_| moved.push(&[1.0, 1.0], &[1.0, 1.0], false));
+    (0..longer.mentor_len()).for_each(|_| moved.push(&[1.0, 1.0], &[1.0, 1.0], false));
     let fault = load(&dir, &longer, Some(moved)).unwrap_err().to_string();
     assert!(fault.contains("demonstration"), "{fault}");
 }

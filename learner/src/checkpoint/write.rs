@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use trestle_proto::codec::{self, Kind, MAX_BODY};
 use trestle_proto::plan::RunPlan;
 
-pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 1 };
+pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 2 };
 pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
 pub(super) const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
 /// First words of `annotations.bin`: magic, and the version of the records' layout.

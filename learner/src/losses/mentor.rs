@@ -18,9 +18,10 @@ pub struct MentorRule {
 }
 
 impl MentorRule {
-    /// The rule that a configuration asks for.
+    /// The rule that a configuration asks for. Before `auto` has become a number, nothing is feasible.
     pub fn new(algo: Algo, mentor: &Mentor) -> Self {
-        Self { algo, e_infeas: mentor.e_infeas as f32, bridges: mentor.bridges, reward: mentor.reward }
+        let e_infeas = mentor.e_infeas.known().unwrap_or(0.0) as f32;
+        Self { algo, e_infeas, bridges: mentor.bridges, reward: mentor.reward }
     }
 }
 

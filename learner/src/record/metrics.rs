@@ -3,6 +3,7 @@
 
 use super::progress::Counters;
 use serde::{Deserialize, Serialize, Serializer};
+use std::borrow::Cow;
 use std::collections::VecDeque;
 
 /// Episodes that the rolling means look back on, as in Stable-Baselines3.
@@ -63,7 +64,7 @@ impl Window {
 
 /// What the loop knows of itself at the moment of an interval row. NaN stands for "not known": the key is
 /// then left out of the row.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Gauges {
     /// ε of the actors' policy, 0 to 1.
     pub exploration_rate: f64,
@@ -79,12 +80,33 @@ pub struct Gauges {
     pub e_kl_mean: f64,
     /// Mean length of the bridges, environment steps.
     pub bridge_len_mean: f64,
+    /// Searches for bridges that met their limit so far; NaN without a mentor.
+    pub searches_cut_short: f64,
+    /// The same of each demonstration, where there are several.
+    pub mentors: Vec<MentorGauges>,
     /// Share of the samples of gradient steps whose loss is the mentor's, 0 to 1.
     pub mentor_loss_frac: f64,
     /// Transitions in the replay.
     pub replay_size: u64,
     /// Share of the wall clock spent waiting for other processes, 0 to 1.
     pub ipc_wait_frac: f64,
+}
+
+/// What the loop knows of one demonstration. NaN as in [`Gauges`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct MentorGauges {
+    /// Its name.
+    pub name: String,
+    /// Share of its transitions that are taken as feasible, 0 to 1.
+    pub feasible_frac: f64,
+    /// Share of its transitions that have a bridge, 0 to 1.
+    pub bridged_frac: f64,
+    /// Mean over its transitions of the divergence e_KL of their best estimate.
+    pub e_kl_mean: f64,
+    /// Mean length of its bridges, environment steps.
+    pub bridge_len_mean: f64,
+    /// Share of its transitions that have been picked for an observer transition, 0 to 1.
+    pub visited_frac: f64,
 }
 
 impl Default for Gauges {
@@ -98,6 +120,8 @@ impl Default for Gauges {
             bridged_frac: f64::NAN,
             e_kl_mean: f64::NAN,
             bridge_len_mean: f64::NAN,
+            searches_cut_short: f64::NAN,
+            mentors: Vec::new(),
             mentor_loss_frac: f64::NAN,
             replay_size: 0,
             ipc_wait_frac: f64::NAN,
@@ -115,7 +139,7 @@ enum Value {
 
 /// A row: values by key, in order. Serialises as one JSON object.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Row(Vec<(&'static str, Value)>);
+pub(super) struct Row(Vec<(Cow<'static, str>, Value)>);
 
 impl Serialize for Row {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -125,13 +149,13 @@ impl Serialize for Row {
 
 impl Row {
     fn count(&mut self, key: &'static str, value: u64) {
-        self.0.push((key, Value::Count(value)));
+        self.0.push((key.into(), Value::Count(value)));
     }
 
     /// Leaves out what is not finite: JSON has no word for it.
-    fn real(&mut self, key: &'static str, value: f64) {
+    fn real(&mut self, key: impl Into<Cow<'static, str>>, value: f64) {
         if value.is_finite() {
-            self.0.push((key, Value::Real(value)));
+            self.0.push((key.into(), Value::Real(value)));
         }
     }
 
@@ -144,12 +168,12 @@ impl Row {
     }
 
     /// The row as points of curves.
-    pub(super) fn scalars(&self) -> Vec<(&'static str, f32)> {
+    pub(super) fn scalars(&self) -> Vec<(&str, f32)> {
         let single = |value: &Value| match value {
             Value::Count(value) => *value as f32,
             Value::Real(value) => *value as f32,
         };
-        self.0.iter().map(|(key, value)| (*key, single(value))).collect()
+        self.0.iter().map(|(key, value)| (key.as_ref(), single(value))).collect()
     }
 }
 
@@ -182,6 +206,15 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
     row.real("mentor/bridged_frac", gauges.bridged_frac);
     row.real("mentor/e_kl_mean", gauges.e_kl_mean);
     row.real("bridge/len_mean", gauges.bridge_len_mean);
+    row.real("bridge/searches_cut_short", gauges.searches_cut_short);
+    for mentor in &gauges.mentors {
+        let key = |what| format!("mentor/{}/{what}", mentor.name);
+        row.real(key("feasible_frac"), mentor.feasible_frac);
+        row.real(key("bridged_frac"), mentor.bridged_frac);
+        row.real(key("e_kl_mean"), mentor.e_kl_mean);
+        row.real(key("bridge_len_mean"), mentor.bridge_len_mean);
+        row.real(key("visited_frac"), mentor.visited_frac);
+    }
     row.real("loss/mentor_frac", gauges.mentor_loss_frac);
     row.count("replay/size", gauges.replay_size);
     row.real("ipc/wait_frac", gauges.ipc_wait_frac);

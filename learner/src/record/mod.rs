@@ -1,5 +1,5 @@
-//! What a run leaves behind beside its checkpoints: `evals.csv`, `metrics.jsonl`, TensorBoard's curves and
-//! `result.json`. Used alike by the learner's process and by the single-process loop.
+//! What a run leaves behind beside its checkpoints: `evals.csv`, `metrics.jsonl`, TensorBoard's curves,
+//! `mentor.csv` and `result.json`. Used alike by the learner's process and by the single-process loop.
 //!
 //! ```text
 //! recorder = Recorder::create(dir, settings)         of a new run, or
@@ -21,6 +21,7 @@
 
 mod error;
 mod lines;
+mod mentor;
 mod metrics;
 mod progress;
 mod result;
@@ -28,7 +29,8 @@ mod solved;
 mod tensorboard;
 
 pub use error::RecordError;
-pub use metrics::{Episode, Gauges, WINDOW};
+pub use mentor::{MENTOR_FILE, MentorRow, write_mentor};
+pub use metrics::{Episode, Gauges, MentorGauges, WINDOW};
 pub use progress::{Counters, Limits, Progress, seconds_left};
 pub use result::{RESULT_FILE, RunResult, write_result};
 pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};

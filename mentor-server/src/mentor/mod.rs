@@ -155,20 +155,20 @@ impl Mentor {
         if demo.n_transitions() == 0 {
             return Err(MentorError::EmptyDemonstration);
         }
-        check_settings(config, replay)?;
+        let thresholds = check_settings(config, replay)?;
         let dim = spec.obs_dim();
         let metric = Metric::from_config(config.covariance, config.sigma_floor, &spec.scale, demo)?;
         let whitened = metric.whiten_all(demo.states());
         let order = demo.order();
         let count = order.n_transitions();
-        let e_th = config.e_th as f32;
+        let [e_th, e_infeas] = thresholds;
         let bridging = algo == Algo::HaDiiqn && config.bridges;
         let graph =
             (bridging && config.cross_reference).then(|| Graph::new(Cells::new(e_th, &whitened, dim)));
         Ok(Self {
             seed,
             n_actions: spec.n_actions(),
-            rule: BridgeRule { k: config.k as usize, n: config.n as usize, e_infeas: config.e_infeas as f32 },
+            rule: BridgeRule { k: config.k as usize, n: config.n as usize, e_infeas },
             bridging,
             transitions: demo.transitions(),
             metric,
@@ -204,6 +204,7 @@ impl Mentor {
     ) -> Result<(), MentorError> {
         out.clear();
         self.accept(first, actor, batch)?;
+        let cut_short = self.search.cut_short();
         for i in 0..batch.len() {
             let (index, news) = self.store(actor, &batch.transition(i));
             let from = self.history.get(index).from;
@@ -214,6 +215,7 @@ impl Mentor {
             }
             out.mentor.push(self.draw(index));
         }
+        out.cut_short = (self.search.cut_short() - cut_short) as u32;
         self.changed.list.sort_unstable();
         for j in self.changed.list.drain(..) {
             self.changed.marked[j as usize] = false;
@@ -319,8 +321,9 @@ impl Mentor {
     }
 }
 
-/// The ranges that this crate relies on; a checked configuration is always within them.
-fn check_settings(config: &config::Mentor, replay: usize) -> Result<(), MentorError> {
+/// The ranges that this crate relies on; a checked and resolved configuration is always within them. Returns `e_th` and
+/// `e_infeas`.
+fn check_settings(config: &config::Mentor, replay: usize) -> Result<[f32; 2], MentorError> {
     let refuse = |key, value: &dyn ToString, accepted: String| {
         Err(MentorError::Setting { key, value: value.to_string(), accepted })
     };
@@ -329,13 +332,16 @@ fn check_settings(config: &config::Mentor, replay: usize) -> Result<(), MentorEr
             return refuse(key, &depth, format!("1 to {MAX_BRIDGE_DEPTH}"));
         }
     }
-    for (key, kl) in [("mentor.e_th", config.e_th), ("mentor.e_infeas", config.e_infeas)] {
-        if !(kl.is_finite() && kl > 0.0) {
-            return refuse(key, &kl, "a number above 0".into());
+    let mut thresholds = [0.0; 2];
+    let keys = [("mentor.e_th", config.e_th), ("mentor.e_infeas", config.e_infeas)];
+    for (known, (key, threshold)) in thresholds.iter_mut().zip(keys) {
+        match threshold.known() {
+            Some(kl) if kl.is_finite() && kl > 0.0 => *known = kl as f32,
+            _ => return refuse(key, &threshold, "a number above 0".into()),
         }
     }
     if !(1..=MAX_REPLAY).contains(&replay) {
         return refuse("learner.replay", &replay, format!("1 to {MAX_REPLAY}"));
     }
-    Ok(())
+    Ok(thresholds)
 }

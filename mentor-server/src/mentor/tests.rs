@@ -6,7 +6,7 @@ use super::*;
 use proptest::prelude::*;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{BatchHeader, FIRST, TERMINATED, TRUNCATED};
-use trestle_proto::config::MetricKind;
+use trestle_proto::config::{MetricKind, Threshold};
 
 /// A transition of the tests: actor, s, s', action, reward, flags.
 type Step = (u32, [f32; 2], [f32; 2], u32, f32, u32);
@@ -74,7 +74,7 @@ fn an_infeasible_step_is_bridged() {
 #[test]
 fn bridges_are_looked_for_only_where_they_are_wanted() {
     let off = config::Mentor { bridges: false, ..config::Mentor::default() };
-    let lenient = config::Mentor { e_infeas: 0.6, ..config::Mentor::default() };
+    let lenient = config::Mentor { e_infeas: Threshold::Kl(0.6), ..config::Mentor::default() };
     let defaults = config::Mentor::default();
     for (config, algo) in [(&off, Algo::HaDiiqn), (&lenient, Algo::HaDiiqn), (&defaults, Algo::Diiqn)] {
         let mut mentor = diagonal(config, algo, 10);
@@ -142,7 +142,14 @@ fn settings_and_demonstrations_are_checked() {
     let sound = demo(&[&[[0.0, 0.0], [1.0, 1.0]]]);
     assert_eq!(new(&sound, |c| c.k = 65, 10), "mentor.k = 65; accepted: 1 to 64");
     assert_eq!(new(&sound, |c| c.n = 0, 10), "mentor.n = 0; accepted: 1 to 64");
-    assert_eq!(new(&sound, |c| c.e_th = f64::NAN, 10), "mentor.e_th = NaN; accepted: a number above 0");
+    assert_eq!(
+        new(&sound, |c| c.e_th = Threshold::Kl(f64::NAN), 10),
+        "mentor.e_th = NaN; accepted: a number above 0"
+    );
+    assert_eq!(
+        new(&sound, |c| c.e_infeas = Threshold::Auto, 10),
+        "mentor.e_infeas = auto; accepted: a number above 0"
+    );
     assert!(new(&sound, |_| (), 0).starts_with("learner.replay = 0"));
     assert!(new(&demo(&[]), |_| (), 10).contains("no transition"));
     let mut narrow = Demonstration::new(vec!["x".into()]).unwrap();
@@ -219,8 +226,8 @@ fn runs() -> impl Strategy<Value = Run> {
                 cross_reference,
                 k,
                 n,
-                e_th,
-                e_infeas: 0.05,
+                e_th: Threshold::Kl(e_th),
+                e_infeas: Threshold::Kl(0.05),
                 ..config::Mentor::default()
             });
     let moves = proptest::collection::vec((0u32..3, 0u32..4, -2i8..3, 0u8..15), 20..120);
@@ -329,7 +336,7 @@ proptest! {
             }
         });
         prop_assert_eq!(faults, Vec::<String>::new());
-        let below = (0..mirror.len()).filter(|&j| mirror.errors()[j] < run.config.e_infeas as f32).count();
+        let below = (0..mirror.len()).filter(|&j| mirror.errors()[j] < mentor.rule.e_infeas).count();
         prop_assert_eq!(mentor.stats().feasible as usize, below);
     }
 }

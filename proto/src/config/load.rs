@@ -181,7 +181,7 @@ fn scalar(text: &str) -> Value {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::config::{Algo, SelectionKind};
+    use crate::config::{Algo, SelectionKind, Threshold};
 
     fn refused(overrides: &[&str]) -> String {
         let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
@@ -213,6 +213,26 @@ mod tests {
         assert_eq!(config.learner.lr, 2e-2);
         assert_eq!(config.env.map, "some/path.txt");
         assert_eq!(config.mentor.selection, SelectionKind::Confidence);
+    }
+
+    #[test]
+    fn thresholds_and_demonstrations_have_two_forms_each() {
+        let sets = ["mentor.e_th=auto", "mentor.e_infeas=1", "mentor.demo={ b = \"b.csv\", a = \"plan\" }"];
+        let config = load("maze30", &sets.map(String::from)).unwrap();
+        assert_eq!((config.mentor.e_th, config.mentor.e_infeas), (Threshold::Auto, Threshold::Kl(1.0)));
+        assert_eq!(config.mentor.demo.iter().collect::<Vec<_>>(), [("a", "plan"), ("b", "b.csv")]);
+        assert_eq!(parse_toml("again", &to_toml(&config)).unwrap(), config);
+        let kind = crate::codec::Kind { magic: *b"TRTEST\0\0", version: 1 };
+        let bytes = crate::codec::encode(kind, &config).unwrap();
+        assert_eq!(crate::codec::decode::<Config>(kind, &bytes).unwrap(), config);
+
+        assert!(refused(&["mentor.e_th=automatic"]).contains("expected a number above 0, or \"auto\""));
+        assert_eq!(refused(&["mentor.e_th=0"]), "mentor.e_th = 0; accepted: a number above 0, or auto");
+        assert!(refused(&["mentor.e_infeas=nan"]).starts_with("mentor.e_infeas = NaN"));
+        assert!(refused(&["mentor.demo=[\"a.csv\"]"]).contains("a table of several by name"));
+        assert!(refused(&["mentor.demo={}"]).contains("1 to 64 demonstrations"));
+        assert!(refused(&["mentor.demo={ \"a/b\" = \"x.csv\" }"]).contains("names of 1 to 40 letters"));
+        assert!(refused(&["mentor.demo={ a = \"\" }"]).contains("`plan` or a CSV file"));
     }
 
     #[test]

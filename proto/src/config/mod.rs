@@ -3,10 +3,14 @@
 //! A configuration is a preset or a TOML file (which may name a preset as its `base`), then `key=value` overrides.
 //! What is left out has the default of this file. Unknown keys, wrong types and values out of range are refused.
 
+mod demos;
 mod load;
+mod threshold;
 mod validate;
 
+pub use demos::{Demos, ONLY, PLAN};
 pub use load::{ConfigError, PRESETS, load, parse_toml, to_toml};
+pub use threshold::Threshold;
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -219,8 +223,8 @@ pub enum Backend {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mentor {
-    /// `plan` (an optimal path through the maze), or a CSV file of states.
-    pub demo: String,
+    /// `plan` (an optimal path through the maze), a CSV file of states, or several of these by name.
+    pub demo: Demos,
     /// `plan`: name of the mentor's action set.
     pub actions: String,
     /// What e_KL compares.
@@ -230,9 +234,9 @@ pub struct Mentor {
     /// Smallest standard deviation of a feature that is estimated from a demonstration, above 0.
     pub sigma_floor: f64,
     /// States are similar up to this KL divergence, above 0.
-    pub e_th: f64,
+    pub e_th: Threshold,
     /// A mentor transition is feasible below this e_KL, above 0.
-    pub e_infeas: f64,
+    pub e_infeas: Threshold,
     /// Most observer steps of a bridge, 1 to 64.
     pub k: u32,
     /// Most mentor steps that a bridge may span, 1 to 64.
@@ -394,13 +398,13 @@ impl Default for Learner {
 impl Default for Mentor {
     fn default() -> Self {
         Self {
-            demo: "plan".into(),
+            demo: Demos::one(PLAN),
             actions: "regular".into(),
             metric: MetricKind::Kl,
             covariance: CovarianceKind::Space,
             sigma_floor: 1e-6,
-            e_th: 0.1,
-            e_infeas: 0.1,
+            e_th: Threshold::Kl(0.1),
+            e_infeas: Threshold::Kl(0.1),
             k: 4,
             n: 4,
             bridges: true,

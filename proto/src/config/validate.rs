@@ -2,8 +2,8 @@
 
 use super::{Config, ConfigError, TargetKind};
 use crate::limits::{
-    MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT, MAX_SIZES,
-    MAX_WIDTH, MIN_DEADLINE_S,
+    MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_MENTORS, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT,
+    MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S,
 };
 use std::fmt::Display;
 use std::ops::RangeBounds;
@@ -113,16 +113,34 @@ impl Config {
 
     fn validate_mentor(&self) -> Result<(), ConfigError> {
         let m = &self.mentor;
-        if m.demo.is_empty() {
-            return Err(refuse("mentor.demo", "\"\"", "`plan` or a CSV file"));
-        }
+        self.validate_demos()?;
         positive("mentor.sigma_floor", m.sigma_floor)?;
-        positive("mentor.e_th", m.e_th)?;
-        positive("mentor.e_infeas", m.e_infeas)?;
+        for (key, threshold) in [("mentor.e_th", m.e_th), ("mentor.e_infeas", m.e_infeas)] {
+            let kl = threshold.known().unwrap_or(1.0);
+            if !(kl.is_finite() && kl > 0.0) {
+                return Err(refuse(key, kl, "a number above 0, or auto"));
+            }
+        }
         within("mentor.k", m.k, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
         within("mentor.n", m.n, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
         positive("mentor.beta", m.beta)?;
         within("mentor.c_max", m.c_max, 1.., "1 or more")?;
         positive("mentor.e_max", m.e_max)
+    }
+
+    fn validate_demos(&self) -> Result<(), ConfigError> {
+        let demos = &self.mentor.demo;
+        within("mentor.demo", demos.iter().len(), 1..=MAX_MENTORS, "1 to 64 demonstrations")?;
+        for (name, source) in demos.iter() {
+            let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+            if !(1..=40).contains(&name.len()) || !name.chars().all(plain) {
+                let accepted = "names of 1 to 40 letters, digits, - and _";
+                return Err(refuse("mentor.demo", format!("{{ {name:?} = ... }}"), accepted));
+            }
+            if source.is_empty() {
+                return Err(refuse("mentor.demo", "\"\"", "`plan` or a CSV file"));
+            }
+        }
+        Ok(())
     }
 }

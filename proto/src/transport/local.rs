@@ -78,7 +78,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         sizes,
         obs_dim: plan.spec.obs_dim(),
         n_actions: plan.spec.n_actions(),
-        mentor_len: plan.mentor_len,
+        mentor_len: plan.mentor_len(),
         weights,
         ticks,
         inbox,

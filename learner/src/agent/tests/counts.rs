@@ -4,6 +4,7 @@ use super::{agent, live};
 use crate::agent::{Agent, AgentError, TrainStats};
 use crate::testing::{MENTOR_LEN, demonstration, plan};
 use proptest::prelude::*;
+use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::mentor::MentorTransitions;
 
@@ -160,10 +161,10 @@ fn divergence_is_reported() {
 #[test]
 fn the_summary_counts_what_training_would_use() {
     let (mut agent, mut world) = agent(&[], 4);
-    assert_eq!(agent.mentor_summary().unwrap().feasible, 0);
-    assert!(agent.mentor_summary().unwrap().e_kl_mean.is_nan());
+    assert_eq!(agent.mentor_summary(0..MENTOR_LEN).unwrap().feasible, 0);
+    assert!(agent.mentor_summary(0..MENTOR_LEN).unwrap().e_kl_mean.is_nan());
     live(&mut agent, &mut world, 30);
-    let summary = agent.mentor_summary().unwrap();
+    let summary = agent.mentor_summary(0..MENTOR_LEN).unwrap();
     let table = agent.annotations().unwrap();
     let feasible = table.errors().iter().filter(|&&e| e < 0.1).count();
     let bridged = (0..MENTOR_LEN).filter(|&j| table.errors()[j] >= 0.1 && table.bridge(j).is_some()).count();
@@ -186,4 +187,31 @@ fn confidence_counts_the_samples_with_a_mentors_loss() {
     let sum: u64 = trained.iter().map(|&count| u64::from(count)).sum();
     assert_eq!(sum, total.feasible + total.bridged);
     assert!(total.mentor_frac() > 0.05 && total.mentor_frac() < 1.0, "{}", total.mentor_frac());
+}
+
+/// Visits by what was picked, uses by what was trained; both as they were after a restoration.
+#[test]
+fn visits_and_uses_are_counted() {
+    for selection in ["confidence", "min-distance"] {
+        let selection = format!("mentor.selection={selection}");
+        let (mut agent, mut world) = agent(&[&selection], 6);
+        let (mut visited, mut total) = ([0; MENTOR_LEN], TrainStats::default());
+        for _ in 0..20 {
+            let (batch, observed) = world.batch(0, 8);
+            let observed = observed.unwrap();
+            observed.mentor.iter().filter(|&&j| j != NONE).for_each(|&j| visited[j as usize] += 1);
+            agent.ingest(&batch, Some(&observed)).unwrap();
+            total.merge(&agent.train().unwrap());
+        }
+        let rows: Vec<_> = agent.mentor_rows().unwrap().collect();
+        assert_eq!(rows.iter().map(|row| row.visited).collect::<Vec<_>>(), visited);
+        let used: u64 = rows.iter().map(|row| row.used).sum();
+        if selection.ends_with("min-distance") {
+            assert_eq!(used as f64, total.mentor_weight_sum);
+        }
+        assert!(used > 0 && used <= total.feasible + total.bridged, "{used} {total:?}");
+        let table = agent.annotations().unwrap();
+        assert!((0..MENTOR_LEN).all(|j| rows[j].feasible == (table.errors()[j] < 0.1)));
+        assert!(rows.iter().enumerate().all(|(j, row)| row.first == (j == 0)));
+    }
 }

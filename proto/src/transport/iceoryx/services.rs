@@ -57,7 +57,7 @@ impl Sizes {
             network: network.into_iter().map(|n| n as u32).collect(),
             batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
             weights,
-            mentor_len: plan.mentor_len,
+            mentor_len: plan.mentor_len(),
         }
     }
 
