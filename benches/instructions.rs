@@ -21,7 +21,7 @@ use trestle_mentor_server::run::mentor_of;
 use trestle_proto::batch::Batch;
 use trestle_proto::config;
 use trestle_proto::observe::Observed;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::tick::{COLLECT, Tick};
 use trestle_qnet::{Isa, Kernels};
 
@@ -71,8 +71,8 @@ fn ticks(times: u64) -> Result<()> {
     let mut demonstration = Demonstration::new((0..spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
     let states = env::plan_states(&config.env, &config.mentor.actions)?;
     demonstration.push_trajectory(&states.concat(), true)?;
-    let mentor_len = demonstration.n_transitions();
-    let plan = RunPlan { run: 1, config, spec, mentor_len, resume_tick: None, restarts: 0 };
+    let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
+    let plan = RunPlan { run: 1, config, spec, mentors, resume_tick: None, restarts: 0 };
 
     let mut worker = Worker::new(&plan, 0)?;
     let mut mentor = mentor_of(&plan, &demonstration)?;

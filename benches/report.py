@@ -97,7 +97,7 @@ TABLES = {
     "replay": (["replay"], lambda replay: measured(replay, {
         "op": "operation", "dim": "features", "stored": "stored", "ns": "ns a transition"})),
     "mentor": (["mentor"], lambda mentor: measured(mentor, {
-        "op": "operation", "dim": "features", "mentor": "mentor transitions", "stored": "stored", "ns": "ns",
+        "op": "operation", "dim": "features", "mentor": "mentor transitions", "stored": "stored", "states": "states", "ns": "ns",
         "naive_ns": "naive, ns"})),
     "tick": (["tick"], lambda tick: measured(tick, {
         "actors": "actors", "rollout": "rollout", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio"})),

@@ -4,7 +4,8 @@
 use crate::util::{Place, Trace, metrics, trestle};
 use std::fs;
 
-const ARGS: [&str; 5] = ["maze-small", "--env-steps", "10000", "--seed", "11"];
+/// A whole number of ticks, so that the run can be prolonged.
+const ARGS: [&str; 5] = ["maze-small", "--env-steps", "10016", "--seed", "11"];
 
 fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
     [&ARGS, more].concat()

@@ -18,7 +18,7 @@ use std::time::Duration;
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::{RunDir, write_atomically};
 use trestle_proto::tick::{COLLECT, Tick};
 use trestle_proto::transport::iceoryx::{Domain, IceoryxLearner, Services};
@@ -79,11 +79,12 @@ impl Learner {
         // Process ids have 22 bits, and a run's identity 32: none meets this one.
         static NEXT: AtomicU32 = AtomicU32::new(16);
         let run = u64::from(std::process::id()) << 32 | u64::from(NEXT.fetch_add(1, Ordering::Relaxed));
+        let mentors = setup.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
         let plan = RunPlan {
             run,
             config: config::load("maze30", &sets)?,
             spec: World::new(2, MENTOR, 0.0).spec(),
-            mentor_len: if setup.mentor { MENTOR } else { 0 },
+            mentors: mentors.into_iter().collect(),
             resume_tick: None,
             restarts: 0,
         };

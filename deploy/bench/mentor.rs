@@ -2,9 +2,10 @@
 //!
 //! `similar` and `infer` happen in a continuous world, where no state comes twice; neither depends on the stored
 //! transitions, whose number is given as 0. In `infer` half of the mentor's transitions have an estimate with a small
-//! error and half one with a large error. `bridge` happens on whole cells, as in a maze, where the same states are seen
-//! again and again: the history is full, half of the mentor's transitions are infeasible, and each stored transition
-//! is followed by both searches, whose time is what counts.
+//! error and half one with a large error. `bridge` happens on whole cells (`states` = `cells`), as in a maze, where the
+//! same states are seen again and again, and where states lie anywhere (`anywhere`), so that more stored transitions
+//! crowd the same space: the history is full, half of the mentor's transitions are infeasible, and each stored
+//! transition is followed by the search, whose time is what counts.
 
 use super::Effort;
 use super::cases::walk::{Walk, World};
@@ -58,13 +59,25 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
             let found = medians(&mut cases, effort)?;
             let row = |op: &str| Row::new().with("op", op).with("dim", dim).with("mentor", mentor);
             rows.push(
-                row("similar").with("stored", 0).measured("ns", found[0]).measured("naive_ns", found[1]),
+                row("similar")
+                    .with("stored", 0)
+                    .with("states", "anywhere")
+                    .measured("ns", found[0])
+                    .measured("naive_ns", found[1]),
             );
-            rows.push(row("infer").with("stored", 0).measured("ns", found[2]).measured("naive_ns", found[3]));
-            for (stored, ns, naive_ns) in bridge(dim, mentor, effort.pick(STORED[0], STORED[1]))? {
-                rows.push(
-                    row("bridge").with("stored", stored).measured("ns", ns).measured("naive_ns", naive_ns),
-                );
+            rows.push(
+                row("infer")
+                    .with("stored", 0)
+                    .with("states", "anywhere")
+                    .measured("ns", found[2])
+                    .measured("naive_ns", found[3]),
+            );
+            for (states, jitter) in [("cells", 0.0), ("anywhere", JITTER)] {
+                for (stored, ns, naive_ns) in bridge(dim, mentor, jitter, effort.pick(STORED[0], STORED[1]))?
+                {
+                    let row = row("bridge").with("stored", stored).with("states", states);
+                    rows.push(row.measured("ns", ns).measured("naive_ns", naive_ns));
+                }
             }
         }
     }
@@ -169,8 +182,8 @@ fn half_feasible(order: &Order, dim: usize) -> AnnotationTable {
 }
 
 /// Bridge search per stored transition, for each number of stored transitions; they take turns.
-fn bridge(dim: usize, mentor: usize, sizes: &[usize]) -> Result<Vec<(usize, f64, Option<f64>)>> {
-    let world = World::new(dim, mentor, 0.0);
+fn bridge(dim: usize, mentor: usize, jitter: f32, sizes: &[usize]) -> Result<Vec<(usize, f64, Option<f64>)>> {
+    let world = World::new(dim, mentor, jitter);
     let demonstration = world.demonstration(mentor)?;
     let order = demonstration.order();
     let similarity = Similarity::new(demonstration.states().to_vec(), dim, E_TH);
@@ -229,9 +242,11 @@ impl<'a> Observer<'a> {
         for _ in 0..count {
             let (index, news) = store(history, Some(graph), metric, 0, &walk.step());
             let start = Instant::now();
-            straight::search(history, index, path, table, scratch, |_| {});
-            let new = Arrival { states: &history.states, graph, t: history.get(index), news };
-            search.run(&new, path, table, |_| {});
+            let (states, oldest) = (&history.states, history.oldest());
+            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
+            if !search.run(&new, path, table, |_| {}) {
+                straight::search(history, index, path, table, scratch, |_| {});
+            }
             taken += start.elapsed();
         }
         taken

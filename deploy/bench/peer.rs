@@ -59,7 +59,7 @@ impl Actor {
         let sizes = plan.sizes();
         Self {
             index,
-            walk: World::new(plan.spec.obs_dim(), plan.mentor_len.max(2), 0.0).walk(),
+            walk: World::new(plan.spec.obs_dim(), plan.mentor_len().max(2), 0.0).walk(),
             batch: Batch::default(),
             params: vec![0.0; sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum()],
             sizes: sizes.iter().map(|&n| n as u32).collect(),

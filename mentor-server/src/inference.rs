@@ -195,6 +195,7 @@ mod tests {
     use super::*;
     use crate::demonstration::Demonstration;
     use crate::similarity::Similarity;
+    use crate::testing::{cases, points};
     use proptest::prelude::*;
 
     const E_TH: f32 = 0.6;
@@ -208,7 +209,8 @@ mod tests {
                 MetricKind::Kl => kl(seen.state, s) + kl(seen.next, next),
                 MetricKind::Delta if kl(seen.state, s) > E_TH => continue,
                 MetricKind::Delta => {
-                    let change = |a: &[f32], b: &[f32]| [b[0] - a[0], b[1] - a[1]];
+                    let change =
+                        |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| b - a).collect::<Vec<_>>();
                     kl(&change(seen.state, seen.next), &change(s, next))
                 }
             };
@@ -219,44 +221,43 @@ mod tests {
         }
     }
 
-    fn point() -> impl Strategy<Value = [f32; 2]> {
-        // Whole numbers repeat and tie exactly; thirds do not.
-        prop_oneof![
-            (0i8..5, 0i8..5).prop_map(|(x, y)| [f32::from(x), f32::from(y)]),
-            (0i8..15, 0i8..15).prop_map(|(x, y)| [f32::from(x) / 3.0, f32::from(y) / 3.0]),
-        ]
-    }
-
     proptest! {
+        #![proptest_config(cases(256))]
         #[test]
         fn equals_the_scan_of_all_pairs(
-            path in proptest::collection::vec(point(), 2..40),
-            walk in proptest::collection::vec((point(), point(), 0u32..4, -2i8..3), 1..60),
+            (dim, points) in points(8..130),
+            mentor in 4usize..60,
+            outcomes in proptest::collection::vec((0u32..4, -2i8..3), 130),
             delta in any::<bool>(),
             restored in 0usize..60,
         ) {
             let metric = if delta { MetricKind::Delta } else { MetricKind::Kl };
-            let mut demo = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
-            let half = path.len() / 2;
-            for part in [&path[..half], &path[half..]] {
-                _ = demo.push_trajectory(&part.concat(), false);
+            let names = (0..dim).map(|i| format!("s{i}")).collect();
+            let mut demo = Demonstration::new(names).unwrap();
+            // The first points are the mentor's, in three trajectories; the observer goes through the others.
+            let count = points.len() / dim;
+            let mentor = mentor.min(count - 2);
+            let (path, walk) = points.split_at(mentor * dim);
+            let (first, second) = path.split_at(mentor / 2 * dim);
+            for part in [&first[..first.len().min(2 * dim)], first, second] {
+                _ = demo.push_trajectory(part, false);
             }
             prop_assume!(demo.n_transitions() > 0);
             let order = demo.order();
-            let similarity = Similarity::new(demo.states().to_vec(), 2, E_TH);
-            let mut inference = Inference::new(metric, demo.states(), 2, &order);
-            let mut table = AnnotationTable::new(order.n_transitions(), 2, 4);
+            let similarity = Similarity::new(demo.states().to_vec(), dim, E_TH);
+            let mut inference = Inference::new(metric, demo.states(), dim, &order);
+            let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
             let mut expected = table.clone();
             let mut similar = Vec::new();
-            for (i, (state, next, action, reward)) in walk.iter().enumerate() {
+            for (i, ends) in walk.windows(2 * dim).step_by(dim).enumerate() {
                 if i == restored {
-                    inference = Inference::new(metric, demo.states(), 2, &order);
+                    inference = Inference::new(metric, demo.states(), dim, &order);
                     inference.restore(table.errors());
                 }
+                let (state, next) = ends.split_at(dim);
+                let (action, reward) = outcomes[i];
                 similarity.states(state, &mut Vec::new(), &mut similar);
-                let seen = Observation {
-                    state, next, similar: &similar, action: *action, reward: f32::from(*reward),
-                };
+                let seen = Observation { state, next, similar: &similar, action, reward: f32::from(reward) };
                 let before = table.clone();
                 let mut named = Vec::new();
                 inference.observe(&seen, &order, &mut table, |j, old, new| named.push((j, old, new)));

@@ -16,4 +16,6 @@ pub mod run;
 pub mod similarity;
 pub mod states;
 pub mod summary;
+#[cfg(test)]
+mod testing;
 pub mod tree;

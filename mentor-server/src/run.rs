@@ -1,5 +1,6 @@
 //! The loop of the mentor-server's process: take requests, answer them, until told to leave.
 
+use crate::bridge::search::MAX_LOOKS;
 use crate::demonstration::Demonstration;
 use crate::mentor::{Mentor, MentorError};
 use trestle_proto::annotation::record_words;
@@ -40,6 +41,7 @@ pub fn run(
         n_actions: plan.spec.n_actions(),
         batch: Batch::default(),
         observed: Observed::default(),
+        cut_short: 0,
     };
     link.hello(&mut server, stop)?;
     tracing::info!("ready");
@@ -57,6 +59,8 @@ struct Server<'a> {
     n_actions: usize,
     batch: Batch,
     observed: Observed,
+    /// Searches for bridges that have met their limit.
+    cut_short: u64,
 }
 
 impl Server<'_> {
@@ -84,6 +88,20 @@ impl Server<'_> {
             _ => return Err(UNKNOWN_OP),
         }
         .map_err(|e| refuse(&e))
+    }
+
+    /// Says so the first time, and whenever ten times as many searches have met their limit.
+    fn count_cut_short(&mut self, more: u32) {
+        let before = self.cut_short;
+        self.cut_short += u64::from(more);
+        if more > 0 && self.cut_short.checked_ilog10() != before.checked_ilog10() {
+            tracing::warn!(
+                searches = self.cut_short,
+                looks = MAX_LOOKS,
+                "searches for bridges met their limit: a bridge may have been missed, or be longer than it could be; \
+                 a smaller mentor.e_th, mentor.k or learner.replay avoids it"
+            );
+        }
     }
 
     fn try_query(&mut self, request: &QueryRequest, state: &[f32], out: &mut Vec<u32>) -> Result<u32, u32> {
@@ -130,6 +148,7 @@ impl MentorHandler for Server<'_> {
                 out.extend_from_slice(&self.observed.mentor);
                 out.extend_from_slice(&self.observed.changed);
                 let cut_short = self.observed.cut_short;
+                self.count_cut_short(cut_short);
                 ObserveAnswer { first_index, status: OK, count, changed, cut_short }
             }
             Err(status) => ObserveAnswer { first_index, status, ..ObserveAnswer::default() },

@@ -45,14 +45,26 @@ impl Similarity {
     /// Fills `hits` with all mentor states similar to the whitened `state`, in ascending order. `stack` is working
     /// memory.
     pub fn states(&self, state: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
+        self.within(state, self.e_th, stack, hits);
+    }
+
+    /// The same with `reach` in the place of `e_th`.
+    pub fn within(&self, state: &[f32], reach: f32, stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         hits.clear();
-        self.tree.candidates(state, self.e_th, stack, |m| {
+        self.tree.candidates(state, reach, stack, |m| {
             let kl = kl(state, self.state(m));
-            if kl <= self.e_th {
+            if kl <= reach {
                 hits.push(Hit { state: m as u32, kl });
             }
         });
         hits.sort_unstable_by_key(|hit| hit.state);
+    }
+
+    /// Fills `hits` with those of the mentor states `among` that are similar to the whitened `state`, in their order.
+    pub fn among(&self, state: &[f32], among: impl Iterator<Item = u32>, hits: &mut Vec<Hit>) {
+        hits.clear();
+        let each = among.map(|m| Hit { state: m, kl: kl(state, self.state(m as usize)) });
+        hits.extend(each.filter(|hit| hit.kl <= self.e_th));
     }
 }
 
@@ -66,6 +78,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::demonstration::Demonstration;
+    use crate::testing::{cases, points};
     use proptest::prelude::*;
 
     #[test]
@@ -83,23 +96,30 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(cases(256))]
         #[test]
         fn equals_a_scan(
-            grid in proptest::collection::vec((0u8..5, 0u8..5), 1..60),
-            query in (-1.0f32..6.0, -1.0f32..6.0),
-            e_th in 0.0f32..2.0,
+            (dim, points) in points(2..90),
+            e_th in prop_oneof![0.0f32..4.0, Just(0.0f32), Just(0.5f32), Just(1e25f32)],
         ) {
-            let states: Vec<f32> = grid.iter().flat_map(|&(x, y)| [f32::from(x), f32::from(y)]).collect();
-            let query = [query.0, query.1];
+            // The last point asks.
+            let (states, query) = points.split_at(points.len() - dim);
             let expected: Vec<Hit> = states
-                .chunks_exact(2)
+                .chunks_exact(dim)
                 .enumerate()
-                .map(|(m, s)| Hit { state: m as u32, kl: kl(&query, s) })
+                .map(|(m, s)| Hit { state: m as u32, kl: kl(query, s) })
                 .filter(|hit| hit.kl <= e_th)
                 .collect();
-            let mut hits = vec![Hit { state: 9, kl: 9.0 }];
-            Similarity::new(states, 2, e_th).states(&query, &mut Vec::new(), &mut hits);
-            prop_assert_eq!(hits, expected);
+            let index = Similarity::new(states.to_vec(), dim, e_th);
+            let (mut hits, mut stack) = (Vec::new(), Vec::new());
+            index.states(query, &mut stack, &mut hits);
+            prop_assert_eq!(&hits, &expected);
+            index.among(query, 0..(states.len() / dim) as u32, &mut hits);
+            prop_assert_eq!(&hits, &expected);
+            // A state of the mentor's own is similar to itself.
+            index.states(&states[..dim], &mut stack, &mut hits);
+            let itself = Hit { state: 0, kl: 0.0 };
+            prop_assert!(hits.contains(&itself));
         }
     }
 }

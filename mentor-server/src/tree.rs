@@ -127,28 +127,20 @@ impl Tree {
 mod tests {
     use super::*;
     use crate::metric::kl;
+    use crate::testing::{cases, points};
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(cases(256))]
         #[test]
-        fn nothing_in_reach_is_missed(
-            grid in proptest::collection::vec((0u8..6, 0u8..6), 1..80),
-            query in (-1.0f32..7.0, -1.0f32..7.0),
-            reach in 0.0f32..9.0,
-        ) {
-            let points: Vec<f32> = grid.iter().flat_map(|&(x, y)| [f32::from(x), f32::from(y)]).collect();
-            let query = [query.0, query.1];
-            let tree = Tree::new(&points, 2);
+        fn nothing_in_reach_is_missed((dim, points) in points(2..90), reach in 0.0f32..9.0) {
+            let (points, query) = points.split_at(points.len() - dim);
+            let tree = Tree::new(points, dim);
+            let in_reach = |i: usize| kl(query, &points[i * dim..][..dim]) <= reach;
             let mut found = Vec::new();
-            tree.candidates(&query, reach, &mut Vec::new(), |i| {
-                if kl(&query, &points[2 * i..][..2]) <= reach {
-                    found.push(i);
-                }
-            });
+            tree.candidates(query, reach, &mut Vec::new(), |i| if in_reach(i) { found.push(i) });
             found.sort_unstable();
-            let expected: Vec<_> =
-                (0..grid.len()).filter(|i| kl(&query, &points[2 * i..][..2]) <= reach).collect();
-            prop_assert_eq!(found, expected);
+            prop_assert_eq!(found, (0..points.len() / dim).filter(|&i| in_reach(i)).collect::<Vec<_>>());
         }
     }
 

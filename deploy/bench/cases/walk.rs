@@ -58,6 +58,7 @@ impl World {
             integral: self.jitter == 0.0,
             actions: (0..2 * self.dim).map(|action| action.to_string()).collect(),
             best_return: None,
+            goal_bonus: 0.0,
         }
     }
 

@@ -37,24 +37,15 @@ pub(super) struct Side {
     pub(super) open: bool,
     /// The last level that has been looked at.
     pub(super) steps: usize,
-    /// How many steps the other direction may have to go for what this one has found, at most.
-    pub(super) asks: usize,
     /// States and links looked at.
     looks: usize,
     limit: usize,
 }
 
 impl Side {
-    /// At level 0, with nothing found. At most `limit` looks.
+    /// At level 0. At most `limit` looks.
     pub(super) fn new(open: bool, limit: usize) -> Self {
         Self { open, limit, ..Self::default() }
-    }
-
-    /// Whether the next level could be part of a bridge with at most `most` steps besides t: for something that `other`
-    /// has found, or for something at its next level or later.
-    pub(super) fn is_wanted(&self, other: &Self, most: usize) -> bool {
-        let next = self.steps + 1;
-        self.open && (next <= other.asks || other.open && next + other.steps < most)
     }
 
     /// Counts `count` more looks.

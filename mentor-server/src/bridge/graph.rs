@@ -7,6 +7,7 @@
 //! small however often it is travelled, and what it knows depends on the stored transitions alone.
 
 use super::cells::Cells;
+use super::strides::Strides;
 use crate::history::Stored;
 use crate::states::{MixedMap, States, mix};
 use trestle_proto::batch::{TERMINATED, TRUNCATED};
@@ -41,6 +42,17 @@ impl Link {
         self.steps.iter().any(|step| step.end == 0)
     }
 
+    /// Number of the newest of the transitions.
+    pub fn newest(&self) -> u64 {
+        // The newest one is never dropped.
+        self.steps.iter().map(|step| step.index).max().unwrap_or(0)
+    }
+
+    /// Numbers and rewards of the transitions that are kept; the newest with the highest reward is among them.
+    pub fn rewards(&self) -> impl Iterator<Item = (u64, f32)> {
+        self.steps.iter().map(|step| (step.index, step.reward))
+    }
+
     /// Action and reward of the best first step of a path that goes on: the highest reward, then the smallest action.
     pub fn best_continuing(&self) -> Option<(u32, f32)> {
         let continuing = self.steps.iter().filter(|step| step.end == 0);
@@ -65,6 +77,8 @@ pub enum News {
 pub struct Graph {
     /// The distinct states in space.
     pub cells: Cells,
+    /// How far the stored transitions go.
+    pub strides: Strides,
     links: Vec<Link>,
     free: Vec<u32>,
     /// Links that begin and that end in each state.
@@ -79,6 +93,7 @@ impl Graph {
     pub fn new(cells: Cells) -> Self {
         Self {
             cells,
+            strides: Strides::default(),
             links: Vec::new(),
             free: Vec::new(),
             outgoing: Vec::new(),

@@ -23,7 +23,8 @@
 //!
 //! # Search
 //! Nothing is ever scanned. Every new bridge contains the newest transition, so it is enough to look for paths through
-//! that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the cross-referencing.
+//! that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the cross-referencing, and
+//! `outlook` and `wanted` say beforehand where that could improve anything.
 //! [`oracle`] is Algorithm 1 as it stands, which the tests compare with: at any time each infeasible transition's
 //! bridge is exactly the best one that has ever been in the history.
 
@@ -31,9 +32,12 @@ pub mod cells;
 mod frontier;
 pub mod graph;
 pub mod oracle;
+mod outlook;
 pub mod search;
 pub mod store;
 pub mod straight;
+pub mod strides;
+mod wanted;
 
 #[cfg(test)]
 mod tests;

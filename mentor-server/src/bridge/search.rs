@@ -6,9 +6,10 @@
 //! state similar to one ahead of it make the shortest bridge through t, and each level gives the best of its ties. A
 //! state is expanded at its first level only, since a later one makes no shorter path.
 //!
-//! Only levels that could matter are looked at: those that together make no more than k steps, and no more than the
-//! bridge that is known of a mentor transition found on the other side. Of two such levels the one with fewer states to
-//! expand comes first. Far from the mentor's path, little is looked at.
+//! Only what could matter is looked at. `wanted` says for which mentor transitions a path through t could improve
+//! the bridge, by what the longest stored step and the nearest stored ends allow: mostly for none, and the search is over
+//! before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until every
+//! wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
 //!
 //! What a level holds depends on the stored transitions alone, not on the order in which the graph keeps them. A search
 //! that has looked at [`MAX_LOOKS`] states and links in one direction drops the whole level that it is in, and goes no
@@ -16,8 +17,11 @@
 
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
+use super::outlook::{Outlook, Stock};
+use super::wanted::{Goal, Newest, Reach, Wanted, backward_goals, forward_goals};
 use super::{Path, improve};
 use crate::history::Stored;
+use crate::metric::kl;
 use crate::similarity::{Hit, transitions};
 use crate::states::States;
 use std::cmp::Ordering;
@@ -26,7 +30,11 @@ use trestle_proto::annotation::{AnnotationTable, Bridge};
 /// States and links that a search looks at in each direction, at most. Beyond it bridges may be missed, or longer
 /// than they could be; those without cross-referencing never are.
 pub const MAX_LOOKS: usize = 1 << 15;
-const NEVER: u32 = u32::MAX;
+/// More steps than any path has.
+pub(super) const NEVER: u32 = u32::MAX;
+/// Goals that each state is compared with, at most. Where more of them are near, they are looked up in the index instead,
+/// and no state is left out for its distance.
+const FEW: usize = 32;
 
 /// The first step of a path, as far as it decides between equally long ones.
 #[derive(Clone, Copy, Debug)]
@@ -72,6 +80,10 @@ pub struct Arrival<'a> {
     pub graph: &'a Graph,
     /// The newest transition t.
     pub t: &'a Stored,
+    /// Its number.
+    pub index: u64,
+    /// Number of the oldest stored transition.
+    pub oldest: u64,
     /// What it has added to the graph.
     pub news: News,
 }
@@ -81,6 +93,11 @@ pub struct Arrival<'a> {
 pub struct Search {
     /// [`MAX_LOOKS`], but for tests.
     pub(crate) limit: usize,
+    outlook: Outlook,
+    wanted: Vec<Wanted>,
+    /// Where the present level heads for, if that is few places, and how near to them its states must be.
+    goals: Vec<Goal>,
+    limits: Vec<(u32, f32)>,
     ends: Ends,
     starts: Starts,
     /// Forward: states reached; those of them that a path may go on from; states that its steps leave from.
@@ -99,6 +116,7 @@ pub struct Search {
     slots: Vec<u32>,
     stack: Vec<u32>,
     hits: Vec<Hit>,
+    to_hits: Vec<Hit>,
     cut_short: u64,
 }
 
@@ -108,6 +126,10 @@ impl Search {
         let nowhere = First { action: 0, reward: 0.0, to: 0 };
         Self {
             limit: MAX_LOOKS,
+            outlook: Outlook::new(mentor_states),
+            wanted: Vec::new(),
+            goals: Vec::new(),
+            limits: Vec::new(),
             ends: Ends {
                 steps: vec![NEVER; mentor_states],
                 kl: vec![f32::INFINITY; mentor_states],
@@ -131,6 +153,7 @@ impl Search {
             slots: Vec::new(),
             stack: Vec::new(),
             hits: Vec::new(),
+            to_hits: Vec::new(),
             cut_short: 0,
         }
     }
@@ -140,58 +163,107 @@ impl Search {
         self.cut_short
     }
 
+    /// Transitions have been stored, or annotations replaced, without [`Search::run`].
+    pub fn forget(&mut self) {
+        self.outlook.forget();
+    }
+
     /// Looks for bridges through a new transition and improves `table`. `improved` is called with each mentor
-    /// transition whose bridge was replaced.
+    /// transition whose bridge was replaced. Must be called for each transition that is stored, but for those before
+    /// [`Search::forget`]. False if the search met its limit.
     pub fn run(
         &mut self,
         new: &Arrival<'_>,
         path: &Path<'_>,
         table: &mut AnnotationTable,
         mut improved: impl FnMut(usize),
-    ) {
+    ) -> bool {
+        let Arrival { states, t, graph, oldest, .. } = *new;
+        let (from, to) = (states.whitened(t.from), states.whitened(t.to));
+        path.similarity.states(from, &mut self.stack, &mut self.hits);
+        path.similarity.states(to, &mut self.stack, &mut self.to_hits);
+        self.outlook.add(new.index, t.reward, &self.hits, &self.to_hits);
         if new.news == News::Nothing {
-            return;
+            return true;
         }
-        let Arrival { states, t, news, .. } = *new;
-        let bound = states.bound();
-        let Self { reached, continued, onward, entered, left, .. } = self;
-        [reached, continued, onward, entered, left].into_iter().for_each(|marks| marks.begin(bound));
-        self.slots.resize(bound.max(self.slots.len()), 0);
+        let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
+        let newest = Newest { from, to, path, stock: Stock { states, graph, oldest }, reach };
+        newest.collect(table, &mut self.outlook, &mut self.stack, &mut self.hits, &mut self.wanted);
+        if self.wanted.is_empty() {
+            return true;
+        }
         let mut ahead = Side::new(!t.ends_episode(), self.limit);
-        let mut behind = Side::new(news == News::Link, self.limit);
-
-        self.reached.first_time(t.to);
-        self.continued.first_time(t.to);
-        self.level.clear();
-        self.level.push(t.to);
-        self.arrive(states, t.to, &mut ahead, path, table);
-        self.left.first_time(t.from);
-        self.back.clear();
-        self.back.push((t.from, First { action: t.action, reward: t.reward, to: t.to }));
-        self.depart(states, &mut behind, path, table);
-        let most = path.rule.k - 1;
-        loop {
-            match (ahead.is_wanted(&behind, most), behind.is_wanted(&ahead, most)) {
-                (false, false) => break,
-                (true, true) if self.back.len() < self.level.len() => {
-                    self.backward(new, &mut behind, path, table)
-                }
-                (true, _) => self.forward(new, &mut ahead, path, table),
-                (false, true) => self.backward(new, &mut behind, path, table),
+        let mut behind = Side::new(new.news == News::Link, self.limit);
+        self.begin(new);
+        while self.choose(&ahead, &behind, path) {
+            let (forward, backward) =
+                (self.wanted.iter().any(|w| !w.ended), self.wanted.iter().any(|w| !w.started));
+            // Nothing has been marked before the first level.
+            if ahead.steps + behind.steps == 0 {
+                let Self { reached, continued, onward, entered, left, .. } = self;
+                [reached, continued, onward, entered, left].into_iter().for_each(|m| m.begin(states.bound()));
+                self.slots.resize(states.bound().max(self.slots.len()), 0);
+                self.reached.first_time(t.to);
+                self.continued.first_time(t.to);
+                self.left.first_time(t.from);
+            }
+            if backward && (!forward || self.back.len() < self.level.len()) {
+                self.backward(new, &mut behind, path, &reach, table);
+            } else {
+                self.forward(new, &mut ahead, path, &reach);
             }
         }
-        self.cut_short += u64::from(ahead.exhausted() || behind.exhausted());
+        let cut_short = ahead.exhausted() || behind.exhausted();
+        self.cut_short += u64::from(cut_short);
         self.join(new, path, table, &mut improved);
-        self.ends.touched.drain(..).for_each(|m| self.ends.steps[m as usize] = NEVER);
-        self.starts.touched.drain(..).for_each(|j| self.starts.steps[j as usize] = NEVER);
+        self.ends.clear();
+        self.starts.clear();
+        !cut_short
+    }
+
+    /// What t itself reaches, and where it begins.
+    fn begin(&mut self, new: &Arrival<'_>) {
+        let t = new.t;
+        self.level.clear();
+        self.level.push(t.to);
+        self.to_hits.iter().for_each(|hit| self.ends.note(hit, 0));
+        let first = First { action: t.action, reward: t.reward, to: t.to };
+        self.back.clear();
+        self.back.push((t.from, first));
+        for w in self.wanted.iter().filter(|w| w.started) {
+            self.starts.note(w.j, 0, first, new.states);
+        }
+    }
+
+    /// Brings what is wanted up to date with what both sides have found, and drops what is found or out of reach.
+    /// Whether anything is left to look for.
+    fn choose(&mut self, ahead: &Side, behind: &Side, path: &Path<'_>) -> bool {
+        let Self { wanted, starts, ends, .. } = self;
+        wanted.retain_mut(|w| {
+            let found = starts.steps[w.j as usize];
+            w.started = found != NEVER;
+            w.before = if w.started { found } else { w.before.max(behind.steps as u32 + 1) };
+            let ahead_of = path.order.ahead(w.j as usize, path.rule.n);
+            let found = ahead_of.map(|m| ends.steps[m]).min().unwrap_or(NEVER);
+            w.ended = found != NEVER;
+            w.after = if w.ended { found } else { w.after.max(ahead.steps as u32 + 1) };
+            let open = (w.started || behind.open) && (w.ended || ahead.open);
+            !(w.started && w.ended) && open && w.is_possible()
+        });
+        !wanted.is_empty()
     }
 
     /// The next level of states after t.
-    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
+    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: &Reach) {
         let Arrival { states, graph, .. } = *new;
-        self.next_level.clear();
-        self.next_reached.clear();
+        let next = side.steps as u32 + 1;
+        let Self { goals, limits, wanted, ends, stack, hits, .. } = self;
+        let few = forward_goals(wanted, path, reach, FEW, goals);
+        limits.clear();
+        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
         let Self { reached, continued, onward, level, next_level, next_reached, .. } = self;
+        next_level.clear();
+        next_reached.clear();
         for &y in level.iter() {
             similar(graph, states, y, path, side, |z, side| {
                 if !onward.first_time(z) {
@@ -202,7 +274,10 @@ impl Search {
                     if reached.first_time(link.to) {
                         next_reached.push(link.to);
                     }
-                    if link.continues() && continued.first_time(link.to) {
+                    if link.continues()
+                        && continued.first_time(link.to)
+                        && (!few || within(states.whitened(link.to), limits, path))
+                    {
                         next_level.push(link.to);
                     }
                 }
@@ -213,42 +288,35 @@ impl Search {
         if side.exhausted() {
             return;
         }
-        std::mem::swap(&mut self.level, &mut self.next_level);
-        for i in 0..self.next_reached.len() {
-            self.arrive(states, self.next_reached[i], side, path, table);
-        }
-    }
-
-    /// Notes the mentor states that state `id`, on the present level after t, is similar to.
-    fn arrive(
-        &mut self,
-        states: &States,
-        id: u32,
-        side: &mut Side,
-        path: &Path<'_>,
-        table: &AnnotationTable,
-    ) {
-        let steps = side.steps as u32;
-        path.similarity.states(states.whitened(id), &mut self.stack, &mut self.hits);
-        for hit in &self.hits {
-            let m = hit.state as usize;
-            if self.ends.steps[m] == NEVER {
-                self.ends.touched.push(hit.state);
-                for j in path.order.behind(m, path.rule.n) {
-                    side.asks = side.asks.max(spare(j, side.steps, path, table).unwrap_or(0));
-                }
+        for &id in next_reached.iter() {
+            let state = states.whitened(id);
+            if few {
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+            } else {
+                path.similarity.states(state, stack, hits);
             }
-            if (steps, hit.kl) < (self.ends.steps[m], self.ends.kl[m]) {
-                (self.ends.steps[m], self.ends.kl[m]) = (steps, hit.kl);
-            }
+            hits.iter().for_each(|hit| ends.note(hit, next));
         }
+        std::mem::swap(level, next_level);
     }
 
     /// The next level of states before t.
-    fn backward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
+    fn backward(
+        &mut self,
+        new: &Arrival<'_>,
+        side: &mut Side,
+        path: &Path<'_>,
+        reach: &Reach,
+        table: &AnnotationTable,
+    ) {
         let Arrival { states, graph, .. } = *new;
-        self.next_back.clear();
+        let next = side.steps as u32 + 1;
+        let Self { goals, limits, wanted, starts, stack, hits, .. } = self;
+        let few = backward_goals(wanted, path, reach, FEW, goals);
+        limits.clear();
+        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
         let Self { entered, left, back, next_back, slots, .. } = self;
+        next_back.clear();
         for &(z, _) in back.iter() {
             similar(graph, states, z, path, side, |y, side| {
                 if !entered.first_time(y) {
@@ -271,32 +339,26 @@ impl Search {
             });
         }
         side.steps += 1;
-        side.open = !side.exhausted() && !next_back.is_empty();
+        side.open = !side.exhausted();
         if side.exhausted() {
             return;
         }
-        std::mem::swap(&mut self.back, &mut self.next_back);
-        self.depart(states, side, path, table);
-    }
-
-    /// Notes the mentor transitions whose beginnings the states of `back`, on the present level before t, are similar
-    /// to, where a bridge through them could be of use.
-    fn depart(&mut self, states: &States, side: &mut Side, path: &Path<'_>, table: &AnnotationTable) {
-        let steps = side.steps as u32;
-        for &(x, first) in &self.back {
-            path.similarity.states(states.whitened(x), &mut self.stack, &mut self.hits);
-            for (j, _) in transitions(&self.hits, path.order) {
-                let Some(spare) = spare(j, side.steps, path, table) else { continue };
-                side.asks = side.asks.max(spare);
-                let known = self.starts.steps[j];
-                if known == NEVER {
-                    self.starts.touched.push(j as u32);
-                }
-                if steps < known || (steps == known && first.beats(&self.starts.first[j], states)) {
-                    (self.starts.steps[j], self.starts.first[j]) = (steps, first);
+        for &(id, first) in next_back.iter() {
+            let state = states.whitened(id);
+            if few {
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+            } else {
+                path.similarity.states(state, stack, hits);
+            }
+            for (j, _) in transitions(hits, path.order) {
+                if table.errors()[j] >= path.rule.e_infeas {
+                    starts.note(j as u32, next, first, states);
                 }
             }
         }
+        next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
+        side.open = !next_back.is_empty();
+        std::mem::swap(back, next_back);
     }
 
     /// Puts beginnings and ends together.
@@ -335,12 +397,46 @@ impl Search {
     }
 }
 
-/// How many steps a bridge for mentor transition `j` may still have, besides t and `steps` others, to be as short as the
-/// one that is known. None if it would be longer anyway, or if `j` is feasible and needs no bridge.
-fn spare(j: usize, steps: usize, path: &Path<'_>, table: &AnnotationTable) -> Option<usize> {
-    if table.errors()[j] < path.rule.e_infeas {
-        return None;
+impl Ends {
+    /// A path has arrived near a mentor state after `steps` steps.
+    fn note(&mut self, hit: &Hit, steps: u32) {
+        let m = hit.state as usize;
+        if self.steps[m] == NEVER {
+            self.touched.push(hit.state);
+        }
+        if (steps, hit.kl) < (self.steps[m], self.kl[m]) {
+            (self.steps[m], self.kl[m]) = (steps, hit.kl);
+        }
     }
-    let longest = table.bridge(j).map_or(path.rule.k, |b| path.rule.k.min(b.length as usize));
-    longest.checked_sub(1 + steps)
+
+    /// Forgets everything.
+    fn clear(&mut self) {
+        let Self { steps, kl, touched } = self;
+        touched.drain(..).for_each(|m| (steps[m as usize], kl[m as usize]) = (NEVER, f32::INFINITY));
+    }
+}
+
+impl Starts {
+    /// A path to t, of `steps` steps before it, begins near the beginning of mentor transition `j` with `first`.
+    fn note(&mut self, j: u32, steps: u32, first: First, states: &States) {
+        let at = j as usize;
+        let known = self.steps[at];
+        if known == NEVER {
+            self.touched.push(j);
+        }
+        if steps < known || (steps == known && first.beats(&self.first[at], states)) {
+            (self.steps[at], self.first[at]) = (steps, first);
+        }
+    }
+
+    /// Forgets everything.
+    fn clear(&mut self) {
+        let Self { steps, touched, .. } = self;
+        touched.drain(..).for_each(|j| steps[j as usize] = NEVER);
+    }
+}
+
+/// Whether `state` is near enough to one of the mentor states in `limits`.
+fn within(state: &[f32], limits: &[(u32, f32)], path: &Path<'_>) -> bool {
+    limits.iter().any(|&(m, limit)| kl(state, path.similarity.state(m as usize)) <= limit)
 }

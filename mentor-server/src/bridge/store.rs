@@ -2,7 +2,7 @@
 
 use super::graph::{Graph, News};
 use crate::history::History;
-use crate::metric::Metric;
+use crate::metric::{Metric, kl};
 use trestle_proto::batch::Transition;
 
 /// Stores a transition of `actor`, in place of the oldest one if the history is full. Its number, and what it adds to
@@ -34,6 +34,10 @@ pub fn store(
         id
     });
     let index = history.push(actor, from, to, t.action, t.reward, t.flags);
-    let news = graph.map_or(News::Nothing, |graph| graph.add(index, history.get(index)));
+    let news = graph.map_or(News::Nothing, |graph| {
+        let step = kl(history.states.whitened(from), history.states.whitened(to));
+        graph.strides.push(index, history.oldest(), step);
+        graph.add(index, history.get(index))
+    });
     (index, news)
 }

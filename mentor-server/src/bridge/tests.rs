@@ -9,10 +9,12 @@ use super::store::store;
 use super::{BridgeRule, Path, cells::Cells, straight};
 use crate::demonstration::Demonstration;
 use crate::history::History;
-use crate::metric::Metric;
+use crate::metric::{Metric, kl};
 use crate::similarity::Similarity;
+use crate::states::mix;
+use crate::testing::cases;
 use proptest::prelude::*;
-use trestle_proto::annotation::{AnnotationTable, Estimate};
+use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
 
 /// One observer step: actor, where it goes (0 to 3), reward, whether and how its episode ends, whether it jumps first.
@@ -27,6 +29,10 @@ struct World {
     side: i8,
     step: f32,
     e_th: f32,
+    /// What each feature takes of x and of y: 1 to 16 features, perhaps on a line, perhaps all points equal.
+    features: Vec<(f32, f32)>,
+    /// How far places are moved about, so that hardly any state repeats; 0 for none.
+    jitter: f32,
     k: usize,
     n: usize,
     capacity: usize,
@@ -38,13 +44,23 @@ fn worlds() -> impl Strategy<Value = World> {
     let moves =
         proptest::collection::vec((0u32..3, 0u8..4, -1i8..2, 0u8..12, proptest::bool::weighted(0.05)), 1..70);
     let shape = prop_oneof![Just((1.0f32, 0.1f32)), Just((0.4, 0.1)), Just((0.7, 0.25)), Just((1.0, 0.5))];
-    (mentor, moves, 2i8..5, shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]).prop_map(
-        |(mentor, moves, side, (step, e_th), k, n, capacity)| World {
+    let features = prop_oneof![
+        3 => Just(vec![(1.0f32, 0.0f32), (0.0, 1.0)]),
+        1 => proptest::collection::vec((-1.0f32..1.0, -1.0f32..1.0), 1..=16),
+        1 => proptest::collection::vec((-1.0f32..1.0, Just(0.0)), 1..=16),
+        1 => proptest::collection::vec((Just(0.0), Just(0.0)), 1..=3),
+    ];
+    let jitter = prop_oneof![2 => Just(0.0f32), 1 => 0.01f32..0.4];
+    let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]);
+    (mentor, moves, 2i8..5, features, jitter, scale).prop_map(
+        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity))| World {
             mentor,
             moves,
             side,
             step,
             e_th,
+            features,
+            jitter,
             k,
             n,
             capacity,
@@ -54,16 +70,23 @@ fn worlds() -> impl Strategy<Value = World> {
 
 impl World {
     fn demo(&self) -> Demonstration {
-        let mut demo = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
+        let names = (0..self.features.len()).map(|i| format!("s{i}")).collect();
+        let mut demo = Demonstration::new(names).unwrap();
         for part in &self.mentor {
-            let states: Vec<f32> = part.iter().flat_map(|&c| self.place(c)).collect();
+            let states: Vec<f32> = part.iter().flat_map(|&c| self.place(c, 0)).collect();
             demo.push_trajectory(&states, false).unwrap();
         }
         demo
     }
 
-    fn place(&self, (x, y): (i8, i8)) -> [f32; 2] {
-        [f32::from(x) * self.step, f32::from(y) * self.step]
+    /// The state in cell (x, y) for the `nth` time: jitter depends on that number.
+    fn place(&self, (x, y): (i8, i8), nth: u64) -> Vec<f32> {
+        let shift = |salt: u64| match nth {
+            0 => 0.0,
+            nth => self.jitter * (mix(salt, nth) % 1000) as f32 / 1000.0,
+        };
+        let (x, y) = (f32::from(x) * self.step + shift(1), f32::from(y) * self.step + shift(2));
+        self.features.iter().map(|(a, b)| a * x + b * y).collect()
     }
 }
 
@@ -78,13 +101,13 @@ struct Bench {
 
 impl Bench {
     fn new(demo: &Demonstration, e_th: f32, capacity: usize, cross_reference: bool) -> Self {
-        let order = demo.order();
+        let (order, dim) = (demo.order(), demo.dim());
         Self {
-            history: History::new(capacity, 2),
-            graph: cross_reference.then(|| Graph::new(Cells::new(e_th, demo.states(), 2))),
+            history: History::new(capacity, dim),
+            graph: cross_reference.then(|| Graph::new(Cells::new(e_th, demo.states(), dim))),
             search: Search::new(order.n_states(), order.n_transitions()),
             straight: straight::Scratch::default(),
-            metric: Metric::diagonal(&[1.0, 1.0]).unwrap(),
+            metric: Metric::diagonal(&vec![1.0; dim]).unwrap(),
         }
     }
 
@@ -92,7 +115,8 @@ impl Bench {
         let Self { metric, history, graph, search, straight } = self;
         let (index, news) = store(history, graph.as_mut(), metric, actor, t);
         if let Some(graph) = graph {
-            let new = Arrival { states: &history.states, graph, t: history.get(index), news };
+            let (states, oldest) = (&history.states, history.oldest());
+            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
             search.run(&new, path, table, |_| ());
         } else {
             straight::search(history, index, path, table, straight, |_| ());
@@ -100,18 +124,51 @@ impl Bench {
     }
 }
 
+/// Whether the stored transitions hold a path that is `bridge`: its first step as described, each step joined to the one
+/// before, its last where it says.
+fn is_real(history: &History, j: usize, bridge: &Bridge<'_>, cross_reference: bool, path: &Path<'_>) -> bool {
+    let similar = |a: &[f32], b: &[f32]| kl(a, b) <= path.similarity.e_th();
+    let whitened = |id| history.states.whitened(id);
+    let all = || history.oldest()..history.end();
+    let mut reached: Vec<u64> = all()
+        .filter(|&t| {
+            let step = history.get(t);
+            similar(whitened(step.from), path.similarity.state(path.order.state_of(j)))
+                && (step.action, step.reward) == (bridge.action, bridge.reward)
+                && history.states.raw(step.to) == bridge.next_obs
+                && step.terminated() == bridge.terminated
+        })
+        .collect();
+    for _ in 1..bridge.length {
+        let joined = |t: u64, next: u64| {
+            let before = history.get(t);
+            let similar = cross_reference && similar(whitened(before.to), whitened(history.get(next).from));
+            (history.predecessor(next) == Some(t) || similar) && !before.ends_episode()
+        };
+        reached = all().filter(|&next| reached.iter().any(|&t| joined(t, next))).collect();
+    }
+    reached.iter().any(|&t| {
+        let end = whitened(history.get(t).to);
+        let nearest = path.order.ahead(j, path.rule.n).map(|m| kl(end, path.similarity.state(m)));
+        nearest.reduce(f32::min) == Some(bridge.end_kl) && bridge.end_kl <= path.similarity.e_th()
+    })
+}
+
 /// After every transition, each infeasible mentor transition's bridge is the best that has ever been in the history.
 fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let demo = world.demo();
     let order = demo.order();
-    let similarity = Similarity::new(demo.states().to_vec(), 2, world.e_th);
+    let dim = demo.dim();
+    let similarity = Similarity::new(demo.states().to_vec(), dim, world.e_th);
     let rule = BridgeRule { k: world.k, n: world.n, e_infeas: 0.1 };
     let path = Path { rule, order: &order, similarity: &similarity };
-    let mut table = AnnotationTable::new(order.n_transitions(), 2, 4);
+    let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
     let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
     let mut ever: Vec<Option<Quality>> = vec![None; order.n_transitions()];
     let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
     let mut fresh = [true; 3];
+    // How often each actor has moved on: its s is the s' before, jitter and all.
+    let mut nth = [1u64, 1 << 20, 1 << 30];
     for (i, &(actor, heading, reward, end, jump)) in world.moves.iter().enumerate() {
         let a = actor as usize;
         if jump {
@@ -126,13 +183,16 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             1 => TRUNCATED,
             _ => 0,
         } | if fresh[a] { FIRST } else { 0 };
+        let (from, to) = (world.place(places[a], nth[a]), world.place(next, nth[a] + 1));
+        nth[a] += 1;
         let t = Transition {
-            obs: &world.place(places[a]),
-            next_obs: &world.place(next),
+            obs: &from,
+            next_obs: &to,
             action: u32::from(heading),
             reward: f32::from(reward),
             flags,
         };
+        let before = table.clone();
         bench.observe(actor, &t, &path, &mut table);
         fresh[a] = end < 2;
         places[a] = if end < 2 { (0, 0) } else { next };
@@ -149,6 +209,11 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             let stored =
                 table.bridge(j).map(|b| Quality { length: b.length, end_kl: b.end_kl, reward: b.reward });
             prop_assert_eq!(stored, ever[j], "mentor transition {} after {} moves", j, i + 1);
+        }
+        for j in (0..order.n_transitions()).filter(|&j| table.bridge(j) != before.bridge(j)) {
+            let real =
+                table.bridge(j).is_some_and(|b| is_real(&bench.history, j, &b, cross_reference, &path));
+            prop_assert!(real, "{:?} of {} after {} moves", table.bridge(j), j, i + 1);
         }
     }
     Ok(())
@@ -182,7 +247,7 @@ fn a_level_beyond_the_limit_is_dropped_whatever_the_order() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(cases(300))]
 
     #[test]
     fn straight_bridges_are_those_of_algorithm_1(world in worlds()) {

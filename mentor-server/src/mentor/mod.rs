@@ -234,6 +234,7 @@ impl Mentor {
         for i in 0..batch.len() {
             self.store(actor, &batch.transition(i));
         }
+        self.search.forget();
         Ok(())
     }
 
@@ -244,6 +245,7 @@ impl Mentor {
     pub fn restore(&mut self, records: &[u32]) -> Result<(), MentorError> {
         let applied = self.table.apply(records);
         self.inference.restore(self.table.errors());
+        self.search.forget();
         self.infeasible = self.table.errors().iter().filter(|&&e| e >= self.rule.e_infeas).count();
         Ok(applied?)
     }
@@ -303,10 +305,14 @@ impl Mentor {
     fn bridge_through(&mut self, index: u64, news: News) {
         let Self { rule, order, similarity, history, graph, table, changed, straight, search, .. } = self;
         let path = Path { rule: *rule, order, similarity };
-        straight::search(history, index, &path, table, straight, |j| changed.mark(j));
-        if let Some(graph) = graph {
-            let new = Arrival { states: &history.states, graph, t: history.get(index), news };
-            search.run(&new, &path, table, |j| changed.mark(j));
+        let complete = graph.as_ref().is_some_and(|graph| {
+            let (states, oldest) = (&history.states, history.oldest());
+            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
+            search.run(&new, &path, table, |j| changed.mark(j))
+        });
+        // A complete search has found these, too.
+        if !complete {
+            straight::search(history, index, &path, table, straight, |j| changed.mark(j));
         }
     }
 

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::testing::cases;
 use proptest::prelude::*;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{BatchHeader, FIRST, TERMINATED, TRUNCATED};
@@ -20,6 +21,7 @@ fn spec() -> EnvSpec {
         integral: false,
         actions: ["E", "N", "W", "S"].map(String::from).to_vec(),
         best_return: None,
+        goal_bonus: 0.0,
     }
 }
 
@@ -279,7 +281,34 @@ fn stretches(steps: &[Step], first: usize, mut each: impl FnMut(u64, u32, &Batch
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(cases(300))]
+
+    #[test]
+    fn what_is_not_finite_is_refused_whole(
+        at in 0usize..10,
+        value in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY), Just(-f32::NAN)],
+        observed in any::<bool>(),
+    ) {
+        let mut mentor = diagonal(&config::Mentor::default(), Algo::HaDiiqn, 10);
+        let mut steps = CORNER;
+        let step = &mut steps[at / 5];
+        match at % 5 {
+            feature @ 0..=1 => step.1[feature] = value,
+            4 => step.4 = value,
+            feature => step.2[feature - 2] = value,
+        }
+        let before = mentor.clone();
+        let mut out = Observed::default();
+        let batch = batch(&steps);
+        let refused =
+            if observed { mentor.observe(0, 0, &batch, &mut out) } else { mentor.rebuild(0, 0, &batch) };
+        prop_assert_eq!(refused.unwrap_err().status(), MALFORMED);
+        prop_assert_eq!(mentor.table(), before.table());
+        prop_assert_eq!(mentor.history.len(), 0);
+        prop_assert!(mentor.similar(&[0.0, value], 3).is_err() && mentor.bridge(&[value, 0.0], 0, &mut Vec::new()).is_err());
+        let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
+        prop_assert!(demo.push_trajectory(&[0.0, value, 1.0], false).is_err() && demo.n_states() == 0);
+    }
 
     #[test]
     fn another_one_takes_over_without_a_trace(run in runs()) {
