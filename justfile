@@ -8,6 +8,10 @@ ci:
 tools:
     .ci/run tools
 
+# libmujoco, for the Point Maze, from PyPI into third_party/mujoco.
+mujoco:
+    .ci/run mujoco
+
 # The whole test suite.
 test:
     .ci/run test
@@ -35,3 +39,7 @@ advisories:
 # A first run.
 demo:
     cargo run --release -- train maze-small --algo ha-diiqn --seed 7
+
+# The properties of the mentor-server against naive scans and Algorithm 1, many cases each; for a night, not for every change.
+properties cases="10000":
+    PROPTEST_CASES={{cases}} cargo test -p trestle-mentor-server --lib

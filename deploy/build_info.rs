@@ -1,6 +1,8 @@
 //! What was built, for `build.json`: version, commit, processor features, back ends.
 
 use serde::Serialize;
+use trestle_actor::env::point_maze::{EngineInfo, engine_info};
+use trestle_proto::config;
 
 /// The contents of `build.json`.
 #[derive(Debug, Serialize)]
@@ -15,10 +17,13 @@ pub(crate) struct BuildInfo {
     cpu_features: Vec<String>,
     /// The environments' engines.
     backends: &'static [&'static str],
+    /// What computes this run's Point Maze; none for another environment.
+    physics: Option<EngineInfo>,
 }
 
 impl BuildInfo {
-    pub(crate) fn new() -> Self {
+    /// For a run with the resolved environment `env`.
+    pub(crate) fn new(env: &config::Env) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: option_env!("TRESTLE_COMMIT"),
@@ -26,7 +31,8 @@ impl BuildInfo {
             target: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             isa: trestle_qnet::Isa::detect().to_string(),
             cpu_features: trestle_qnet::Isa::available().map(|isa| isa.to_string()).collect(),
-            backends: &["maze"],
+            backends: &["maze", "point-maze builtin", "point-maze mujoco"],
+            physics: engine_info(env),
         }
     }
 }

@@ -12,6 +12,7 @@ use trestle_proto::pulse;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
+use trestle_proto::space::reported;
 use trestle_proto::tick::Tick;
 use trestle_qnet::{PlanError, network_of};
 
@@ -239,6 +240,7 @@ impl Worker {
         room: usize,
     ) -> Result<EvaluationEpisode, ActorError> {
         let (mut total_reward, mut length) = (0.0, 0);
+        let goal_bonus = self.evaluation_env.spec().goal_bonus;
         self.evaluation_env.reset(rng, &mut self.evaluation_obs);
         let mut path = Vec::new();
         let mut fits = true;
@@ -254,7 +256,7 @@ impl Worker {
             let action = self.policy.greedy(params, &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
-            total_reward += f64::from(step.reward);
+            total_reward += reported(step.reward, step.terminated, goal_bonus);
             length += 1;
             whole = record(&self.evaluation_obs);
             success = (step.terminated || step.truncated).then_some(step.terminated);

@@ -22,6 +22,9 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             if let Some(best) = spec.best_return {
                 outln!("  best return    {best:.2}");
             }
+            if let Some(threshold) = resolved.config.eval.threshold {
+                outln!("  threshold      {threshold:.2}");
+            }
             if let Some(mentors) = &resolved.mentors {
                 outln!("  demonstration  {} transitions", mentors.all.n_transitions());
             }

@@ -5,9 +5,9 @@ use crate::supervise::prepare::{self, Resolved};
 use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;
-use trestle_actor::env::maze::{cells, draw, map_of};
+use trestle_actor::env::draw;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Algo, Config, Demos, EnvKind, PLAN};
+use trestle_proto::config::{self, Algo, Config, Demos, PLAN};
 use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Demo) -> Result<ExitCode> {
@@ -61,8 +61,6 @@ fn inspect(demo: &Path, config: Option<&str>, sets: &[String]) -> Result<()> {
     for warning in resolved.warnings() {
         outln!("warning: {warning}");
     }
-    if resolved.config.env.kind == EnvKind::Maze {
-        outln!("{}", draw(&map_of(&resolved.config.env)?, &cells(mentors.all.states()), 'm'));
-    }
+    outln!("{}", draw(&resolved.config.env, &[(mentors.all.states(), 'm')])?);
     Ok(())
 }

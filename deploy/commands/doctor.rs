@@ -6,12 +6,31 @@ use nix::sys::resource::{Resource, getrlimit};
 use nix::sys::statvfs::statvfs;
 use std::fs;
 use std::process::ExitCode;
+use trestle_actor::env::point_maze::mujoco::{self, MujocoError};
 use trestle_proto::transport::iceoryx::Domain;
 
 /// Shared memory below which a run of the usual size may not fit, bytes.
 const LITTLE_SHARED_MEMORY: u64 = 64 << 20;
 /// Open files below which a run of many actors may not fit: each holds some ten descriptors a peer.
 const FEW_FILES: u64 = 1024;
+
+/// What a Point Maze would be computed by, and why.
+fn physics(line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
+    match mujoco::find() {
+        Ok(found) => {
+            for reason in found.passed_over() {
+                line(true, format!("Point Maze: passed over {reason}"))?;
+            }
+            line(true, format!("Point Maze: MuJoCo {}, {}", found.version(), found.path().display()))
+        }
+        Err(error @ MujocoError::Missing { .. }) => {
+            line(true, format!("Point Maze: built-in physics, because {error}"))
+        }
+        Err(error) => {
+            line(false, format!("Point Maze: MUJOCO_LIB names a library that cannot be used: {error}"))
+        }
+    }
+}
 
 pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     let mut sound = true;
@@ -39,6 +58,7 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()))?;
+    physics(&mut line)?;
     let (living, dead): (Vec<Domain>, Vec<Domain>) = Domain::all()?.into_iter().partition(Domain::is_alive);
     line(true, format!("runs in progress: {}", living.len()))?;
     for domain in &dead {

@@ -3,10 +3,9 @@
 use crate::cli::Eval;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use trestle_actor::env::maze::{cells, draw, map_of};
+use trestle_actor::env::draw;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
-use trestle_proto::config::EnvKind;
 use trestle_proto::logging;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::tick::{EVALUATE, Tick};
@@ -43,11 +42,8 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     if let Some(threshold) = plan.threshold() {
         outln!("  threshold     {threshold:.3}");
     }
-    match (plan.config.env.kind, evaluation.episodes.first()) {
-        (EnvKind::Maze, Some(episode)) if !episode.path.is_empty() => {
-            outln!("{}", draw(&map_of(&plan.config.env)?, &cells(&episode.path), 'o'));
-        }
-        _ => {}
+    if let Some(episode) = evaluation.episodes.first().filter(|episode| !episode.path.is_empty()) {
+        outln!("{}", draw(&plan.config.env, &[(&episode.path, 'o')])?);
     }
     Ok(ExitCode::SUCCESS)
 }

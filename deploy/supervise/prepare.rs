@@ -19,7 +19,7 @@ use trestle_mentor_server::demo_file;
 use trestle_mentor_server::demonstration::Demonstration;
 use trestle_mentor_server::metric::Metric;
 use trestle_mentor_server::summary::{Summary, summarise};
-use trestle_proto::config::{self, Config, Demos, Mode, PLAN, Threshold};
+use trestle_proto::config::{self, Config, Demos, Mode, PLAN, PhysicsBackend, Threshold};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::{RunDir, write_atomically};
 use trestle_proto::space::EnvSpec;
@@ -114,6 +114,9 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
     typed.env.layout.clone_from(&own.env.layout);
+    if typed.env.point_maze.backend == PhysicsBackend::Auto {
+        typed.env.point_maze.backend = own.env.point_maze.backend;
+    }
     typed.mentor.demo = typed.mentor.demo.map_files(|name, source| {
         own.mentor.demo.get(name).filter(|own| *own != PLAN).unwrap_or(source).into()
     });
@@ -291,13 +294,27 @@ impl Resolved {
         Ok(prepared)
     }
 
+    /// Bytes of shared memory that a run takes, at the most.
+    pub(crate) fn shared_memory_bytes(&self) -> u64 {
+        Sizes::of(&self.plan(0, None)).shared_memory_bytes()
+    }
+
+    /// What the run in `root` came to, if it has reached the limits of this configuration.
+    pub(crate) fn complete(&self, root: &Path) -> Option<RunResult> {
+        let text = fs::read_to_string(RunDir::new(root).result()).ok()?;
+        let result: RunResult = serde_json::from_str(&text).ok()?;
+        self.reached(result.episodes, result.env_steps).then_some(result)
+    }
+
+    /// Whether the run in `root` has a checkpoint that this configuration can go on from.
+    pub(crate) fn has_checkpoint(&self, root: &Path) -> Result<bool> {
+        Ok(checkpoint::newest_resumable(root, &self.plan(0, None))?.is_some())
+    }
+
     /// The tick of the newest checkpoint that this configuration can go on from.
     fn check_resume(&self, dir: &RunDir) -> Result<u64> {
         let root = dir.root().display();
-        if let Ok(text) = fs::read_to_string(dir.result())
-            && let Ok(result) = serde_json::from_str::<RunResult>(&text)
-            && self.reached(result.episodes, result.env_steps)
-        {
+        if let Some(result) = self.complete(dir.root()) {
             bail!(
                 "--resume: {root} is complete with {} episodes and {} environment steps; accepted: a higher --episodes or \
                  --env-steps",
@@ -397,7 +414,7 @@ impl Prepared {
         write_atomically(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
         let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
         write_atomically(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
-        let build = serde_json::to_string_pretty(&BuildInfo::new())?;
+        let build = serde_json::to_string_pretty(&BuildInfo::new(&resolved.config.env))?;
         write_atomically(&dir.build(), format!("{build}\n").as_bytes())?;
         if let Some(mentors) = resolved.mentors.as_ref().filter(|_| self.fresh) {
             demo_file::write(&dir.demonstration(), &mentors.all)?;

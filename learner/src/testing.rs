@@ -38,6 +38,7 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         integral: true,
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
+        goal_bonus: 0.0,
     };
     let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
     let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };

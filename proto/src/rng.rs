@@ -24,6 +24,8 @@ pub enum Purpose {
     Evaluation = 6,
     /// Generation of a random map.
     Map = 7,
+    /// Resamples of the intervals of a report; no run draws from it.
+    Bootstrap = 8,
 }
 
 /// The stream of `purpose` and `index` in the run with `seed`, at its beginning.

@@ -20,6 +20,8 @@ pub struct EnvSpec {
     pub actions: Vec<String>,
     /// The best return that is possible, where it is known.
     pub best_return: Option<f64>,
+    /// Part of the reward of a step into a terminal state that is the learner's alone: returns leave it out.
+    pub goal_bonus: f32,
 }
 
 /// An environment whose spaces are out of range.
@@ -57,6 +59,11 @@ pub enum SpaceError {
         /// Its scale.
         scale: f32,
     },
+}
+
+/// What a step with `reward` adds to the return that is reported: see [`EnvSpec::goal_bonus`].
+pub fn reported(reward: f32, terminated: bool, goal_bonus: f32) -> f64 {
+    f64::from(reward) - if terminated { f64::from(goal_bonus) } else { 0.0 }
 }
 
 impl EnvSpec {

@@ -36,6 +36,7 @@ fn plan(run: u64) -> RunPlan {
         integral: true,
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
+        goal_bonus: 0.0,
     };
     let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
     RunPlan { run, config, spec, mentors, resume_tick: None, restarts: 0 }

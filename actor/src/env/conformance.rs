@@ -1,9 +1,9 @@
 //! What every environment must fulfil, written once and run over all of them.
 #![allow(clippy::unwrap_used)]
 
-use super::{EnvError, Environment, Step, build, resolve};
+use super::{EnvError, Environment, Step, build, point_maze, resolve};
 use rand::Rng;
-use trestle_proto::config;
+use trestle_proto::config::{self, EnvKind, PhysicsBackend, PointLayout, PointReset};
 use trestle_proto::rng::{Purpose, Stream, stream};
 
 /// Every environment in a few configurations, with step limits that make episodes end both ways.
@@ -23,6 +23,26 @@ fn all() -> Vec<config::Env> {
         maze("random:5:4x4", "irregular", 60),
         maze("random:5:5x9", "king", 40),
     ];
+    let point = |map: &str, actions: &str, step_limit, point_maze: config::PointMaze| config::Env {
+        kind: EnvKind::PointMaze,
+        point_maze: config::PointMaze { backend: PhysicsBackend::Builtin, ..point_maze },
+        ..maze(map, actions, step_limit)
+    };
+    let gymnasium = config::PointMaze {
+        layout: PointLayout::Gymnasium,
+        reset: PointReset::Random,
+        frame_skip: 5,
+        ..config::PointMaze::default()
+    };
+    let random = config::PointMaze { reset: PointReset::Random, ..config::PointMaze::default() };
+    all.push(point("medium", "orthogonal", 300, config::PointMaze::default()));
+    all.push(point("umaze", "diagonal", 400, random));
+    all.push(point("large", "king", 200, gymnasium));
+    if point_maze::mujoco::library().is_ok() {
+        let mut by_mujoco = point("umaze", "diagonal", 200, config::PointMaze::default());
+        by_mujoco.point_maze.backend = PhysicsBackend::Mujoco;
+        all.push(by_mujoco);
+    }
     for env in &mut all {
         resolve(env, 0).unwrap();
     }

@@ -1,6 +1,7 @@
 //! What can be wrong with an environment's configuration, a step or a snapshot.
 
 use super::maze::MapError;
+use super::point_maze::mujoco::MujocoError;
 use std::path::PathBuf;
 use trestle_proto::codec::CodecError;
 use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
@@ -56,7 +57,7 @@ pub enum EnvError {
         name: String,
     },
     /// The configuration has not been resolved.
-    #[error("env.layout is missing; accepted: the text of the map, as a resolved configuration holds it")]
+    #[error("the configuration is not resolved: env.layout is missing, or env.point_maze.backend is auto")]
     Unresolved,
     /// An action set that nobody has defined.
     #[error("{key} = {name}; action sets: {known}")]
@@ -75,6 +76,21 @@ pub enum EnvError {
         name: String,
         /// What is wrong, and what is accepted.
         message: String,
+    },
+    /// MuJoCo is not there, or fails.
+    #[error("env.point_maze.backend: {0}")]
+    Mujoco(#[from] MujocoError),
+    /// A controller that does not get there.
+    #[error(
+        "mentor.demo = plan: with the action set {actions} the controller has not reached the goal after \
+         env.step_limit = {steps} steps; accepted: another mentor.actions, a smaller env.point_maze.frame_skip, or a \
+         demonstration"
+    )]
+    Plan {
+        /// The mentor's action set.
+        actions: String,
+        /// Steps that it took.
+        steps: u32,
     },
     /// Spaces that the other processes do not accept.
     #[error(transparent)]

@@ -6,13 +6,14 @@
 
 mod error;
 pub mod maze;
+pub mod point_maze;
 
 #[cfg(test)]
 mod conformance;
 
 pub use error::EnvError;
 
-use trestle_proto::config;
+use trestle_proto::config::{self, EnvKind};
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
@@ -60,14 +61,18 @@ pub trait Environment: Send {
 }
 
 /// Completes `env` so that [`build`] needs nothing but `env` itself: reads or generates the map that `env.map`
-/// names and writes it to `env.layout`. `seed` is the run's seed, for maps that are random by it.
+/// names and writes it to `env.layout`, and decides what computes the physics. `seed` is the run's seed, for maps that are random by it.
 ///
 /// # Errors
 /// A map that does not exist or cannot be used, or a layout that is given and is another map than the one that
 /// `env.map` names.
 pub fn resolve(env: &mut config::Env, seed: u64) -> Result<(), EnvError> {
     match env.kind {
-        config::EnvKind::Maze => maze::resolve(env, seed),
+        EnvKind::Maze => maze::resolve(env, seed),
+        EnvKind::PointMaze => {
+            maze::resolve(env, seed)?;
+            point_maze::resolve(env)
+        }
     }
 }
 
@@ -77,17 +82,36 @@ pub fn resolve(env: &mut config::Env, seed: u64) -> Result<(), EnvError> {
 /// Whatever the configuration asks for and the environment does not accept.
 pub fn build(env: &config::Env) -> Result<Box<dyn Environment>, EnvError> {
     match env.kind {
-        config::EnvKind::Maze => Ok(Box::new(maze::Maze::new(env)?)),
+        EnvKind::Maze => Ok(Box::new(maze::Maze::new(env)?)),
+        EnvKind::PointMaze => Ok(Box::new(point_maze::PointMaze::new(env)?)),
     }
 }
 
-/// The demonstration `plan`: states of an optimal mentor that acts with the action set `mentor_actions`, from the
+/// The demonstration `plan`: states of a mentor, optimal in a maze of cells and careful in the Point Maze, that acts with the action set `mentor_actions`, from the
 /// start to the goal, `[obs_dim]` features each. The last state is terminal.
 ///
 /// # Errors
 /// An unknown action set, or a goal that it does not reach.
 pub fn plan_states(env: &config::Env, mentor_actions: &str) -> Result<Vec<Vec<f32>>, EnvError> {
     match env.kind {
-        config::EnvKind::Maze => maze::plan_states(env, mentor_actions),
+        EnvKind::Maze => maze::plan_states(env, mentor_actions),
+        EnvKind::PointMaze => point_maze::plan_states(env, mentor_actions),
     }
+}
+
+/// The environment of a resolved configuration as text for a terminal, with paths of states and the mark of each
+/// laid over it; where two meet, the later one is seen.
+///
+/// # Errors
+/// There is no map.
+pub fn draw(env: &config::Env, paths: &[(&[f32], char)]) -> Result<String, EnvError> {
+    let map = maze::map_of(env)?;
+    Ok(match env.kind {
+        EnvKind::Maze => {
+            let cells: Vec<_> = paths.iter().map(|(states, mark)| (maze::cells(states), *mark)).collect();
+            let paths: Vec<_> = cells.iter().map(|(cells, mark)| (cells.as_slice(), *mark)).collect();
+            maze::draw(&map, &paths)
+        }
+        EnvKind::PointMaze => point_maze::draw(&point_maze::Geometry::new(map, env.point_maze.layout), paths),
+    })
 }

@@ -5,6 +5,7 @@ use crate::record::{Counters, Episode};
 use trestle_proto::NONE;
 use trestle_proto::batch::Batch;
 use trestle_proto::observe::Observed;
+use trestle_proto::space::reported;
 
 /// An episode that ended within a batch.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +57,8 @@ impl Agent {
             self.counters.env_steps += 1;
             ingested.consumed += 1;
             let running = &mut self.running[batch.header.actor as usize];
-            running.total_reward += f64::from(transition.reward);
+            let terminated = transition.terminated();
+            running.total_reward += reported(transition.reward, terminated, self.settings.goal_bonus);
             running.length += 1;
             if transition.ends_episode() {
                 let Running { total_reward, length } = std::mem::take(running);

@@ -72,6 +72,8 @@ struct Settings {
     gamma: f32,
     tau: f32,
     n_actions: usize,
+    /// See [`trestle_proto::space::EnvSpec::goal_bonus`].
+    goal_bonus: f32,
     /// The run ends with this many finished episodes or environment steps.
     episodes: Option<u64>,
     env_steps: Option<u64>,
@@ -254,6 +256,7 @@ impl Settings {
             gamma: learner.gamma as f32,
             tau: learner.tau as f32,
             n_actions: plan.spec.n_actions(),
+            goal_bonus: plan.spec.goal_bonus,
             episodes: run.episodes,
             env_steps: run.env_steps,
             rule: MentorRule::new(run.algo, mentor),

@@ -7,9 +7,11 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// The presets that are compiled in: name and TOML text.
-pub const PRESETS: [(&str, &str); 2] = [
+pub const PRESETS: [(&str, &str); 4] = [
     ("maze30", include_str!("../../presets/maze30.toml")),
     ("maze-small", include_str!("../../presets/maze-small.toml")),
+    ("point-maze", include_str!("../../presets/point-maze.toml")),
+    ("point-umaze", include_str!("../../presets/point-umaze.toml")),
 ];
 
 /// A configuration that cannot be used.
@@ -244,9 +246,24 @@ mod tests {
         assert!(refused(&["run.algo=sarsa"]).contains("ha-diiqn"));
         assert!(refused(&["learner"]).contains("key=value"));
         assert!(refused(&["learner.lr.x=1"]).contains("`lr` is a value"));
+        assert_eq!(
+            refused(&["env.point_maze.magnitudes=[0.5, 2]"]),
+            "env.point_maze.magnitudes = 2; accepted: numbers above 0, up to 1"
+        );
+        assert!(refused(&["env.point_maze.magnitudes=[]"]).ends_with("accepted: 1 to 8 numbers"));
+        assert!(refused(&["env.point_maze.magnitudes=[1.0, 1.0]"]).ends_with("accepted: each number once"));
+        assert!(refused(&["env.point_maze.frame_skip=0"]).ends_with("accepted: 1 to 100"));
+        assert!(refused(&["env.point_maze.backend=rapier"]).contains("`mujoco`"));
+        let short = ["env.kind=point-maze", "eval.threshold=-0.6", "eval.tolerance=0", "env.step_limit=600"];
+        assert!(refused(&short).contains("above -0.600: else an episode that never reaches the goal"));
         assert!(refused(&["learner.lr=nan"]).contains("above 0"));
         assert!(refused(&["eval.tolerance=nan"]).contains("0 or more"));
-        assert!(load("no-such", &[]).unwrap_err().to_string().contains("presets: maze30, maze-small"));
+        assert!(
+            load("no-such", &[])
+                .unwrap_err()
+                .to_string()
+                .contains("presets: maze30, maze-small, point-maze, point-umaze")
+        );
     }
 
     #[test]

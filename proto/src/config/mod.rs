@@ -5,11 +5,13 @@
 
 mod demos;
 mod load;
+mod point_maze;
 mod threshold;
 mod validate;
 
 pub use demos::{Demos, ONLY, PLAN};
 pub use load::{ConfigError, PRESETS, load, parse_toml, to_toml};
+pub use point_maze::{PhysicsBackend, PointLayout, PointMaze, PointReset};
 pub use threshold::Threshold;
 
 use serde::{Deserialize, Serialize};
@@ -109,12 +111,14 @@ pub struct Env {
     pub layout: Option<String>,
     /// Name of the observer's action set.
     pub actions: String,
-    /// Action sets besides the built-in `regular` and `irregular`: names of compass directions.
+    /// Action sets besides the built-in ones: names of compass directions.
     pub action_sets: BTreeMap<String, Vec<String>>,
     /// Steps after which an episode is cut off, 1 or more.
     pub step_limit: u32,
     /// What the network sees of a state.
     pub encoding: EncodingKind,
+    /// What only `kind = "point-maze"` has.
+    pub point_maze: PointMaze,
 }
 
 /// The environments.
@@ -123,6 +127,8 @@ pub struct Env {
 pub enum EnvKind {
     /// A maze of cells.
     Maze,
+    /// A ball with inertia in a maze of walls.
+    PointMaze,
 }
 
 /// How a state becomes the network's input.
@@ -360,6 +366,7 @@ impl Default for Env {
             action_sets: BTreeMap::new(),
             step_limit: 4000,
             encoding: EncodingKind::Coordinates,
+            point_maze: PointMaze::default(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Ranges and combinations of settings that types do not exclude.
 
-use super::{Config, ConfigError, TargetKind};
+use super::{Config, ConfigError, EnvKind, TargetKind};
 use crate::limits::{
     MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_MENTORS, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT,
     MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S,
@@ -34,6 +34,7 @@ impl Config {
     /// The first setting that is out of range, with what is accepted.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.validate_run()?;
+        self.validate_env()?;
         self.validate_exploration()?;
         self.validate_learner()?;
         self.validate_mentor()?;
@@ -74,8 +75,46 @@ impl Config {
         within("run.env_steps", run.env_steps.unwrap_or(1), 1.., "1 or more")?;
         within("run.actors", run.actors, 1..=MAX_ACTORS, "1 to 64")?;
         within("run.rollout", run.rollout, 1..=MAX_ROLLOUT, "1 to 4096")?;
-        within("run.lag", run.lag, 0..=1, "0 or 1")?;
-        within("env.step_limit", self.env.step_limit, 1.., "1 or more")
+        within("run.lag", run.lag, 0..=1, "0 or 1")
+    }
+
+    fn validate_env(&self) -> Result<(), ConfigError> {
+        let env = &self.env;
+        within("env.step_limit", env.step_limit, 1.., "1 or more")?;
+        let point = &env.point_maze;
+        let magnitudes = "env.point_maze.magnitudes";
+        if !(1..=8).contains(&point.magnitudes.len()) {
+            return Err(refuse(magnitudes, format!("{:?}", point.magnitudes), "1 to 8 numbers"));
+        }
+        for (i, &magnitude) in point.magnitudes.iter().enumerate() {
+            within(magnitudes, magnitude, f64::MIN_POSITIVE..=1.0, "numbers above 0, up to 1")?;
+            if point.magnitudes[..i].contains(&magnitude) {
+                return Err(refuse(magnitudes, format!("{:?}", point.magnitudes), "each number once"));
+            }
+        }
+        within("env.point_maze.frame_skip", point.frame_skip, 1..=100, "1 to 100")?;
+        within("env.point_maze.goal_reward", point.goal_reward, 0.0..=1e6, "0 to 1000000")?;
+        within("env.point_maze.contact_margin", point.contact_margin, 0.0..=0.05, "0 to 0.05")?;
+        match self.eval.threshold {
+            // Every step costs 0.001, and an episode that is cut off has cost step_limit of them.
+            Some(threshold)
+                if env.kind == EnvKind::PointMaze
+                    && threshold - self.eval.tolerance <= -0.001 * f64::from(env.step_limit) =>
+            {
+                Err(refuse(
+                    "eval.threshold",
+                    threshold,
+                    &format!(
+                        "with eval.tolerance = {} and env.step_limit = {}, above {:.3}: else an episode that never \
+                         reaches the goal would count as solved",
+                        self.eval.tolerance,
+                        env.step_limit,
+                        self.eval.tolerance - 0.001 * f64::from(env.step_limit)
+                    ),
+                ))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn validate_exploration(&self) -> Result<(), ConfigError> {

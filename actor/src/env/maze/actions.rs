@@ -1,9 +1,10 @@
 //! Compass directions and the action sets that are made of them.
 
 use crate::env::EnvError;
-use trestle_proto::config;
+use crate::env::point_maze::{DIAGONAL, ORTHOGONAL};
+use trestle_proto::config::{self, EnvKind};
 
-/// One of the eight directions in which an agent may try to move. North is up, towards row 0.
+/// One of the eight directions of a map. North is up, towards row 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// Up.
@@ -65,7 +66,13 @@ pub const REGULAR: &[Direction] = &[Direction::N, Direction::E, Direction::S, Di
 /// the paper's best return on its 30 x 30 maze exactly.
 pub const IRREGULAR: &[Direction] = &[Direction::N, Direction::NE, Direction::S, Direction::SW];
 
-const BUILTIN: [(&str, &[Direction]); 2] = [("regular", REGULAR), ("irregular", IRREGULAR)];
+/// The sets that an environment has of its own.
+fn builtin(kind: EnvKind) -> &'static [(&'static str, &'static [Direction])] {
+    match kind {
+        EnvKind::Maze => &[("regular", REGULAR), ("irregular", IRREGULAR)],
+        EnvKind::PointMaze => &[("orthogonal", ORTHOGONAL), ("diagonal", DIAGONAL)],
+    }
+}
 
 /// A named list of directions; action `i` is the `i`-th of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -96,24 +103,24 @@ impl ActionSet {
 /// No set of this name, or any set of the configuration that cannot be used.
 pub fn action_set(env: &config::Env, key: &'static str, name: &str) -> Result<ActionSet, EnvError> {
     let mut found =
-        BUILTIN.iter().find(|(known, _)| *known == name).map(|(_, set)| ActionSet::new(name, set));
+        builtin(env.kind).iter().find(|(known, _)| *known == name).map(|(_, set)| ActionSet::new(name, set));
     for (own, names) in &env.action_sets {
-        let set = defined(own, names)?;
+        let set = defined(env.kind, own, names)?;
         if own == name {
             found = Some(set);
         }
     }
     found.ok_or_else(|| {
-        let builtin = BUILTIN.iter().map(|(known, _)| *known);
+        let builtin = builtin(env.kind).iter().map(|(known, _)| *known);
         let known: Vec<_> = builtin.chain(env.action_sets.keys().map(String::as_str)).collect();
         EnvError::ActionSet { key, name: name.into(), known: known.join(", ") }
     })
 }
 
 /// The set that a configuration defines as `name`.
-fn defined(name: &str, names: &[String]) -> Result<ActionSet, EnvError> {
+fn defined(kind: EnvKind, name: &str, names: &[String]) -> Result<ActionSet, EnvError> {
     let refuse = |message: String| Err(EnvError::ActionSetDefinition { name: name.into(), message });
-    if BUILTIN.iter().any(|(known, _)| *known == name) {
+    if builtin(kind).iter().any(|(known, _)| *known == name) {
         return refuse("this set is built in; accepted: another name".into());
     }
     if !(2..=Direction::ALL.len()).contains(&names.len()) {

@@ -2,14 +2,9 @@
 
 use super::map::{Cell, Map};
 
-/// `map` as text, one line a row, the cells of `path` marked with `mark`. Start, goal and walls stay visible, and
-/// cells outside the map are left out.
-pub fn draw(map: &Map, path: &[Cell], mark: char) -> String {
-    draw_paths(map, &[(path, mark)])
-}
-
-/// [`draw`] with several paths: where two meet, the later one's mark is seen.
-pub fn draw_paths(map: &Map, paths: &[(&[Cell], char)]) -> String {
+/// `map` as text, one line a row, the cells of each of `paths` with its mark; where two meet, the later one's is
+/// seen. Start, goal and walls stay visible, and cells outside the map are left out.
+pub fn draw(map: &Map, paths: &[(&[Cell], char)]) -> String {
     let mut letters: Vec<Vec<char>> = map.to_string().lines().map(|line| line.chars().collect()).collect();
     for (path, mark) in paths {
         for &cell in path.iter().filter(|&&cell| map.is_free(cell)) {
@@ -35,9 +30,12 @@ mod tests {
     #[test]
     fn paths_are_laid_over_free_cells() {
         let map = Map::parse("m", "S.#\n...\n..G\n").unwrap();
-        assert_eq!(draw(&map, &[[0, 0], [1, 0], [2, 0], [1, 1], [2, 2], [9, 9]], '*'), "S*#\n.*.\n..G\n");
+        assert_eq!(
+            draw(&map, &[(&[[0, 0], [1, 0], [2, 0], [1, 1], [2, 2], [9, 9]], '*')]),
+            "S*#\n.*.\n..G\n"
+        );
         let (first, second) = (cells(&[0.0, 1.0, 1.0, 1.0]), cells(&[1.0, 1.0, 1.0, 2.0]));
-        assert_eq!(draw_paths(&map, &[(&first, 'm'), (&second, 'o')]), "S.#\nmo.\n.oG\n");
-        assert_eq!(draw(&map, &[], '*'), map.to_string());
+        assert_eq!(draw(&map, &[(&first, 'm'), (&second, 'o')]), "S.#\nmo.\n.oG\n");
+        assert_eq!(draw(&map, &[]), map.to_string());
     }
 }

@@ -155,6 +155,7 @@ fn spec(env: &config::Env, map: &Map, set: &ActionSet, optimum: usize) -> EnvSpe
         actions: set.directions.iter().map(|d| d.name().to_string()).collect(),
         // Where every episode is cut off before the goal there is no optimum to reach.
         best_return: (optimum as u64 <= u64::from(env.step_limit)).then(|| best_return(optimum)),
+        goal_bonus: 0.0,
     }
 }
 

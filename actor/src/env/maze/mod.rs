@@ -15,7 +15,7 @@ mod search;
 mod source;
 
 pub use actions::{ActionSet, Direction, IRREGULAR, REGULAR, action_set};
-pub use draw::{cells, draw, draw_paths};
+pub use draw::{cells, draw};
 pub use environment::{BLOCKED_REWARD, GOAL_REWARD, MOVE_REWARD, Maze, REVISIT_REWARD, map_of, plan_states};
 pub use generate::{MIN_SIDE, generate};
 pub use map::{Cell, Map, MapError, MapFault};

@@ -10,10 +10,13 @@ use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
 use trestle_proto::rng::{Purpose, stream};
 
 /// The maps that are compiled in: name and text. `maze30` is the paper's; `maze-small` is ours, with shortest paths of
-/// 34 (regular) and 35 (irregular) moves.
-const BUILTIN: [(&str, &str); 2] = [
+/// 34 (regular) and 35 (irregular) moves. `umaze`, `medium` and `large` are D4RL's mazes with its goals, the starts ours.
+const BUILTIN: [(&str, &str); 5] = [
     ("maze30", include_str!("../../../maps/maze30.txt")),
     ("maze-small", include_str!("../../../maps/maze-small.txt")),
+    ("umaze", include_str!("../../../maps/umaze.txt")),
+    ("medium", include_str!("../../../maps/medium.txt")),
+    ("large", include_str!("../../../maps/large.txt")),
 ];
 
 /// Names of the compiled-in maps, for people.
@@ -130,7 +133,8 @@ mod tests {
     #[test]
     fn what_is_no_map_is_refused() {
         assert!(
-            refused("no-such.txt").contains("accepted: maze30, maze-small, an existing file, or random:")
+            refused("no-such.txt")
+                .contains("accepted: maze30, maze-small, umaze, medium, large, an existing file, or random:")
         );
         for bad in [
             "random:",
