@@ -1,5 +1,9 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
+use crate::sweep::arms::Arm;
+use crate::sweep::jobs::MAX_JOBS;
+use crate::sweep::over::Over;
+use crate::sweep::seeds::Seeds;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -15,6 +19,10 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     /// Train one agent
     Train(Train),
+    /// Train many agents: algorithms x seeds x settings
+    Sweep(Sweep),
+    /// Tables, plots and a page from any set of runs
+    Report(Report),
     /// Play the greedy policy of a run's newest checkpoint and draw its path
     Eval(Eval),
     /// Work with demonstrations
@@ -91,6 +99,52 @@ pub(crate) struct Train {
     pub(crate) quiet: bool,
 }
 
+#[derive(Debug, Args)]
+pub(crate) struct Sweep {
+    #[command(flatten)]
+    pub(crate) source: Source,
+    /// Algorithms, each an arm of its own; with no --arm either: that of the configuration
+    #[arg(long, value_name = "ALGO,...", value_delimiter = ',')]
+    pub(crate) algos: Vec<Algo>,
+    /// A further arm with settings of its own; may be repeated
+    #[arg(long = "arm", value_name = "NAME:KEY=VALUE,...")]
+    pub(crate) arms: Vec<Arm>,
+    /// Train every arm with each of these values, as in env.map=random:1:20x20,random:2:20x20; may be repeated
+    #[arg(long, value_name = "KEY=VALUE,...")]
+    pub(crate) over: Vec<Over>,
+    /// Seeds: 0..30 is thirty of them, 1,5,7 three
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) seeds: Seeds,
+    /// Runs at once; as many as cores and memory allow if not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_JOBS as i64))]
+    pub(crate) jobs: Option<u16>,
+    /// End each run with this many episodes [run.episodes]
+    #[arg(long, value_name = "N")]
+    pub(crate) episodes: Option<u64>,
+    /// End each run with this many environment steps [run.env_steps]
+    #[arg(long, value_name = "N")]
+    pub(crate) env_steps: Option<u64>,
+    /// The sweep's directory
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Keep the runs that are complete and go on with the others
+    #[arg(long)]
+    pub(crate) resume: bool,
+    /// Print the summary only
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Report {
+    /// A sweep, a run, or any directory with runs in it
+    #[arg(value_name = "DIR")]
+    pub(crate) runs: PathBuf,
+    /// Where the report goes; DIR/report if not given
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum Algo {
     /// Deep Q-network, no mentor
@@ -99,6 +153,17 @@ pub(crate) enum Algo {
     Diiqn,
     /// Implicit imitation with feasibility and bridges
     HaDiiqn,
+}
+
+impl Algo {
+    /// Its name in configurations and results.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Dqn => "dqn",
+            Self::Diiqn => "diiqn",
+            Self::HaDiiqn => "ha-diiqn",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -11,6 +11,7 @@ mod commands;
 mod reference;
 mod status;
 mod supervise;
+mod sweep;
 
 use clap::Parser;
 use output::say;

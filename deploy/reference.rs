@@ -32,7 +32,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let mut workers =
         (0..plan.config.run.actors).map(|index| Worker::new(plan, index)).collect::<Result<Vec<_>, _>>()?;
     let mut mentor = mentor(prepared)?;
-    let display = Display::new(plan, quiet);
+    let display = Display::new(&plan.config.run, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
     let mut session = Session::new(plan, dir, transitions, |progress| display.update(progress))?;
     session.start();

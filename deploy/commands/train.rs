@@ -64,11 +64,7 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
 /// The flags that stand for settings, after what `--set` says.
 fn overrides(args: &Train) -> Vec<String> {
     let mut sets = args.source.sets.clone();
-    let algo = args.algo.map(|algo| match algo {
-        Algo::Dqn => "dqn",
-        Algo::Diiqn => "diiqn",
-        Algo::HaDiiqn => "ha-diiqn",
-    });
+    let algo = args.algo.map(Algo::name);
     let mode = args.mode.map(|mode| match mode {
         Mode::Lockstep => "lockstep",
         Mode::Reference => "reference",

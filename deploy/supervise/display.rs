@@ -5,12 +5,14 @@ use std::cell::Cell;
 use std::io::{IsTerminal, stderr};
 use std::time::{Duration, Instant};
 use trestle_learner::record::Progress;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::config::Run;
 
 /// Time between two plain lines.
 const LINES_EVERY: Duration = Duration::from_secs(5);
 
 pub(crate) struct Display {
+    /// Before each line; empty for the only run.
+    name: String,
     how: How,
     episodes: Option<u64>,
     env_steps: Option<u64>,
@@ -23,29 +25,44 @@ enum How {
 }
 
 impl Display {
-    pub(crate) fn new(plan: &RunPlan, quiet: bool) -> Self {
-        let run = &plan.config.run;
-        let how = if quiet {
-            How::Quiet
-        } else if stderr().is_terminal() {
-            let length = run.episodes.or(run.env_steps).unwrap_or(0);
-            let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
-            // The template is a constant: it parses, or the bar keeps its default look.
-            if let Ok(style) = ProgressStyle::with_template("{bar:24} {percent:>3}%  {msg}") {
-                bar.set_style(style);
+    /// For the only run of this process.
+    pub(crate) fn new(run: &Run, quiet: bool) -> Self {
+        if quiet {
+            return Self::quiet();
+        }
+        let bar = stderr()
+            .is_terminal()
+            .then(|| ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr()));
+        Self::named(run, "", bar)
+    }
+
+    /// Nothing but what must be seen.
+    pub(crate) fn quiet() -> Self {
+        Self { name: String::new(), how: How::Quiet, episodes: None, env_steps: None }
+    }
+
+    /// For one of several runs, which `name` tells apart: on `bar`, or in plain lines.
+    pub(crate) fn named(run: &Run, name: &str, bar: Option<ProgressBar>) -> Self {
+        let how = match bar {
+            None => How::Lines { last: Cell::new(None) },
+            Some(bar) => {
+                bar.set_length(run.episodes.or(run.env_steps).unwrap_or(0));
+                // The template is a constant: it parses, or the bar keeps its default look.
+                if let Ok(style) = ProgressStyle::with_template("{bar:24} {percent:>3}%  {msg}") {
+                    bar.set_style(style);
+                }
+                How::Bar(bar)
             }
-            How::Bar(bar)
-        } else {
-            How::Lines { last: Cell::new(None) }
         };
-        Self { how, episodes: run.episodes, env_steps: run.env_steps }
+        let name = if name.is_empty() { String::new() } else { format!("{name}  ") };
+        Self { name, how, episodes: run.episodes, env_steps: run.env_steps }
     }
 
     /// A sentence that must be seen.
     pub(crate) fn say(&self, text: &str) {
         match &self.how {
-            How::Bar(bar) => bar.println(text),
-            How::Lines { .. } | How::Quiet => crate::output::say(text),
+            How::Bar(bar) => bar.println(format!("{}{text}", self.name)),
+            How::Lines { .. } | How::Quiet => crate::output::say(&format!("{}{text}", self.name)),
         }
     }
 
@@ -79,7 +96,8 @@ impl Display {
     fn describe(&self, p: &Progress) -> String {
         let of = |limit: Option<u64>| limit.map_or(String::new(), |limit| format!("/{limit}"));
         let mut text = format!(
-            "episode {}{}  steps {}{}  {:.0} steps/s",
+            "{}episode {}{}  steps {}{}  {:.0} steps/s",
+            self.name,
             p.episodes,
             of(self.episodes),
             p.env_steps,

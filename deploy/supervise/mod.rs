@@ -54,20 +54,24 @@ impl Drop for Cleanup {
 /// Trains the prepared run in its processes and waits for its end.
 pub(crate) fn run(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(supervise(prepared, held, quiet))
+    runtime.block_on(async {
+        let mut prepared = prepared;
+        let mut signals = Signals::new()?;
+        drop(held);
+        let display = Display::new(&prepared.plan().config.run, quiet);
+        let outcome = supervise(&mut prepared, &mut signals, &display).await;
+        display.finish();
+        outcome
+    })
 }
 
-async fn supervise(mut prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
-    let mut signals = Signals::new()?;
-    drop(held);
-    let display = Display::new(prepared.plan(), quiet);
-    let outcome = attempts(&mut prepared, &mut signals, &display).await;
-    display.finish();
-    outcome
-}
-
-/// Starts the run, and again after each death for as long as that promises anything.
-async fn attempts(prepared: &mut Prepared, signals: &mut Signals, display: &Display) -> Result<Ended> {
+/// Starts the run, and again after each death for as long as that promises anything. Several runs can go on at once in one
+/// process; a signal reaches each of them.
+pub(crate) async fn supervise(
+    prepared: &mut Prepared,
+    signals: &mut Signals,
+    display: &Display,
+) -> Result<Ended> {
     let plan = prepared.plan();
     let mut restarts = Restarts::new(plan.config.supervise.restarts, plan.resume_tick);
     loop {
@@ -129,7 +133,8 @@ enum Event {
     Exited(Role, std::io::Result<ExitStatus>),
 }
 
-struct Signals {
+/// What asks a run to end early.
+pub(crate) struct Signals {
     interrupt: Signal,
     terminate: Signal,
     /// None for a run that is to outlive its terminal.
@@ -137,7 +142,8 @@ struct Signals {
 }
 
 impl Signals {
-    fn new() -> Result<Self> {
+    /// From here on they do not end the process by themselves.
+    pub(crate) fn new() -> Result<Self> {
         Ok(Self {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
@@ -145,7 +151,8 @@ impl Signals {
         })
     }
 
-    async fn any(&mut self) {
+    /// Waits for the next one.
+    pub(crate) async fn any(&mut self) {
         let hangup = async {
             match &mut self.hangup {
                 Some(hangup) => hangup.recv().await,

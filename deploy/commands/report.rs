@@ -1,0 +1,133 @@
+//! `trestle report`
+
+use crate::cli::Report as Args;
+use anyhow::{Context, Result};
+use std::process::ExitCode;
+use trestle_actor::env::maze::{Map, cells, map_of};
+use trestle_actor::worker::Worker;
+use trestle_learner::checkpoint;
+use trestle_mentor_server::demo_file;
+use trestle_proto::config::EnvKind;
+use trestle_proto::logging;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rundir::RunDir;
+use trestle_proto::tick::{EVALUATE, Tick};
+use trestle_qnet::{Workspace, forward};
+use trestle_report::maze::{Maze, Step};
+use trestle_report::read::{Run, read_runs};
+use trestle_report::summary::{Group, tasks};
+use trestle_report::write::{Report, write};
+
+/// Mazes that are drawn, at most: of the first tasks, one for each arm.
+const MAX_MAZES: usize = 24;
+
+pub(super) fn run(args: &Args) -> Result<ExitCode> {
+    logging::init(0, "report", "warn");
+    let (runs, mut notes) = read_runs(&args.runs)?;
+    let out = args.out.clone().unwrap_or_else(|| args.runs.join("report"));
+    let mut mazes = Vec::new();
+    for task in tasks(&runs) {
+        for group in &task.groups {
+            let Some(run) = middle(group).filter(|run| run.config.env.kind == EnvKind::Maze) else {
+                continue;
+            };
+            if mazes.len() == MAX_MAZES {
+                notes.push(format!("no maze of {} on {}: {MAX_MAZES} are drawn", group.arm, task.name));
+                continue;
+            }
+            match maze(run) {
+                Ok(maze) => mazes.push((task.name.to_string(), group.arm.to_string(), maze)),
+                Err(error) => notes.push(format!("no maze of {}: {error:#}", run.path.display())),
+            }
+        }
+    }
+    for run in runs.iter().filter(|run| run.complete().is_none()) {
+        notes.push(format!("{} has not run its whole length", run.path.display()));
+    }
+    let title = format!("Trestle: {} runs in {}", runs.len(), args.runs.display());
+    let count = notes.len();
+    notes.iter().for_each(|note| crate::output::say(&format!("note: {note}")));
+    write(&Report { title, runs: &runs, notes, mazes }, &out)?;
+    outln!("{} runs, {count} notes: {}", runs.len(), out.join("report.html").display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The complete run in the middle of its group by environment steps to solved: neither the luckiest nor the unluckiest.
+fn middle<'a>(group: &Group<'a>) -> Option<&'a Run> {
+    let mut runs: Vec<&'a Run> = group.runs.iter().copied().filter(|run| run.complete().is_some()).collect();
+    let steps = |run: &Run| run.complete().and_then(|o| o.solved_env_steps).unwrap_or(u64::MAX);
+    runs.sort_by_key(|run| (steps(run), run.config.run.seed));
+    runs.get(runs.len().saturating_sub(1) / 2).copied()
+}
+
+/// `run` in its maze, from its newest checkpoint.
+fn maze(run: &Run) -> Result<Maze> {
+    let dir = RunDir::new(&run.path);
+    let plan = dir.read_plan()?;
+    let (tick, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
+    let demonstration = match plan.mentor_len() {
+        0 => None,
+        _ => Some(demo_file::read(&dir.demonstration())?.transitions()),
+    };
+    let agent = checkpoint::load(&path, &plan, demonstration.clone())?.agent;
+    let map = map_of(&plan.config.env)?;
+    let mut mentor = Vec::new();
+    if let (Some(transitions), Some(rows)) = (&demonstration, agent.mentor_rows()) {
+        for (j, row) in rows.enumerate() {
+            let step = match row.bridge {
+                _ if row.feasible => Step::Feasible,
+                Some(_) => Step::Bridged,
+                None => Step::Infeasible,
+            };
+            let [from, to] = [row.state, transitions.next_state(j)].map(cells);
+            mentor.extend(from.first().zip(to.first()).map(|(&from, &to)| (from, to, step)));
+        }
+    }
+    let replay = agent.replay();
+    let mut visits = vec![0.0; map.columns() * map.rows()];
+    for index in replay.first_index()..replay.next_index() {
+        for cell in cells(replay.get(replay.slot(index)).transition.obs) {
+            if map.is_free(cell) {
+                visits[cell[1] * map.columns() + cell[0]] += 1.0;
+            }
+        }
+    }
+    Ok(Maze {
+        title: format!("{}, {}, seed {}", run.arm, run.task, run.config.run.seed),
+        size: [map.columns(), map.rows()],
+        walls: all_cells(&map).map(|cell| !map.is_free(cell)).collect(),
+        ends: [map.start(), map.goal()],
+        mentor,
+        path: greedy_path(&plan, tick, agent.weights())?,
+        visits,
+        values: values(&plan, &map, agent.weights())?,
+    })
+}
+
+fn all_cells(map: &Map) -> impl Iterator<Item = [usize; 2]> + use<> {
+    let (columns, rows) = (map.columns(), map.rows());
+    (0..rows).flat_map(move |row| (0..columns).map(move |column| [column, row]))
+}
+
+/// The cells of a greedy episode.
+fn greedy_path(plan: &RunPlan, tick: u64, weights: &[f32]) -> Result<Vec<[usize; 2]>> {
+    let mut worker = Worker::new(plan, 0)?;
+    // As `trestle eval`: this evaluation's stream of resets is none of the training's.
+    let tick =
+        Tick { run: plan.run, tick, evaluation: u64::MAX, kind: EVALUATE, amount: 1, ..Tick::default() };
+    let evaluation = worker.evaluate(weights, &tick)?;
+    Ok(evaluation.episodes.first().map(|episode| cells(&episode.path)).unwrap_or_default())
+}
+
+/// The largest Q-value of each cell.
+fn values(plan: &RunPlan, map: &Map, weights: &[f32]) -> Result<Vec<f64>> {
+    let (layout, encoding) = trestle_qnet::network_of(plan)?;
+    let states: Vec<f32> = all_cells(map).flatten().map(|x| x as f32).collect();
+    let rows = states.len() / 2;
+    let mut x = vec![0.0; rows * layout.input()];
+    encoding.encode_batch(&states, rows, &mut x);
+    let mut q = vec![0.0; rows * layout.output()];
+    forward(&layout, weights, &x, rows, &mut Workspace::new(&layout, rows), &mut q);
+    let largest = |q: &[f32]| q.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    Ok(q.chunks_exact(layout.output()).map(|q| f64::from(largest(q))).collect())
+}

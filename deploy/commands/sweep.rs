@@ -1,0 +1,133 @@
+//! `trestle sweep`
+
+use crate::cli::Sweep as Args;
+use crate::status::INTERRUPTED;
+use crate::supervise::prepare::{Resolved, resolve};
+use crate::sweep::arms::{Arm, MAX_ARMS};
+use crate::sweep::jobs::default_jobs;
+use crate::sweep::manifest::Manifest;
+use crate::sweep::over::cross;
+use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
+use anyhow::{Context, Result, bail, ensure};
+use std::process::ExitCode;
+use trestle_learner::record::RunResult;
+use trestle_proto::config::Mode;
+use trestle_proto::logging;
+use trestle_report::stats::median;
+
+pub(super) fn run(args: &Args) -> Result<ExitCode> {
+    logging::init(0, "sweep", "warn");
+    let (arms, sets, seeds) = (arms(args)?, overrides(args), &args.seeds.0);
+    let mut shared = 0;
+    for arm in &arms {
+        // Each arm is resolved as a run of it would be, before anything is started or written.
+        let resolved = check(configuration(&args.source.config, &sets, arm, seeds[0])?)
+            .with_context(|| format!("arm {}", arm.name))?;
+        shared = shared.max(resolved.shared_memory_bytes());
+    }
+    let all = jobs(&args.source.config, &sets, &arms, seeds, &args.out)?;
+    Manifest::new(&args.source.config, sets, arms.clone(), seeds.clone()).claim(&args.out, args.resume)?;
+    let sweep = Sweep {
+        arms: arms.into_iter().map(|arm| arm.name).collect(),
+        jobs: all,
+        out: args.out.clone(),
+        at_once: args.jobs.map_or_else(|| default_jobs(shared), usize::from),
+        quiet: args.quiet,
+    };
+    let swept = sweep.run()?;
+    report(&sweep, &swept)?;
+    let failed = swept.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
+    if swept.interrupted {
+        crate::output::say("interrupted; go on with the same command and --resume");
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
+    ensure!(
+        failed == 0,
+        "{failed} of {} runs failed; the same command with --resume tries them again",
+        sweep.jobs.len()
+    );
+    outln!("next: trestle report {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn check(config: trestle_proto::config::Config) -> Result<Resolved> {
+    if config.run.mode == Mode::Reference {
+        bail!("run.mode = reference; accepted in a sweep: lockstep, which ends with the same weights");
+    }
+    resolve(config)
+}
+
+/// The arms as typed: plain algorithms first; without any, the configuration as it is.
+fn arms(args: &Args) -> Result<Vec<Arm>> {
+    let plain = args.algos.iter().map(|algo| Arm::plain(algo.name()));
+    let mut arms: Vec<Arm> = plain.chain(args.arms.iter().cloned()).collect();
+    if arms.is_empty() {
+        let config = trestle_proto::config::load(&args.source.config, &args.source.sets)?;
+        arms.push(Arm::plain(config.run.algo.name()));
+    }
+    let arms = cross(arms, &args.over);
+    ensure!(
+        arms.len() <= MAX_ARMS,
+        "{} arms, those of --over included; accepted: up to {MAX_ARMS}",
+        arms.len()
+    );
+    for (at, arm) in arms.iter().enumerate() {
+        ensure!(
+            arms[..at].iter().all(|other| other.name != arm.name),
+            "two arms are called {}; accepted: names that differ",
+            arm.name
+        );
+    }
+    Ok(arms)
+}
+
+/// The settings of all arms: `--set`, then the flags that stand for settings.
+fn overrides(args: &Args) -> Vec<String> {
+    let number = |key: &str, value: Option<u64>| value.map(|v| format!("run.{key}={v}"));
+    let flags = number("episodes", args.episodes).into_iter().chain(number("env_steps", args.env_steps));
+    args.source.sets.iter().cloned().chain(flags).collect()
+}
+
+/// A line an arm on standard output.
+fn report(sweep: &Sweep, swept: &Swept) -> Result<()> {
+    let width = sweep.arms.iter().map(String::len).max().unwrap_or(0).max("arm".len());
+    outln!(
+        "{:width$}  {:>8}  {:>6}  {:>18}  {:>20}  {:>6}",
+        "arm",
+        "complete",
+        "solved",
+        "median episodes",
+        "median env steps",
+        "failed"
+    );
+    for (number, name) in sweep.arms.iter().enumerate() {
+        let of_arm = || {
+            let both = sweep.jobs.iter().zip(&swept.outcomes);
+            both.filter(|(job, _)| job.arm == number).map(|(_, outcome)| outcome)
+        };
+        let results: Vec<&RunResult> = of_arm()
+            .filter_map(|outcome| match outcome {
+                Outcome::Complete(result) => Some(result.as_ref()),
+                _ => None,
+            })
+            .collect();
+        let middle = |of: fn(&RunResult) -> Option<u64>| {
+            let mut times: Vec<f64> =
+                results.iter().map(|r| of(r).map_or(f64::INFINITY, |n| n as f64)).collect();
+            let middle = median(&mut times);
+            if middle.is_finite() { format!("{middle:.0}") } else { "not reached".into() }
+        };
+        let solved = results.iter().filter(|r| r.solved_episode.is_some()).count();
+        let failed = of_arm().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
+        outln!(
+            "{name:width$}  {:>8}  {solved:>6}  {:>18}  {:>20}  {failed:>6}",
+            format!("{}/{}", results.len(), of_arm().count()),
+            middle(|r| r.solved_episode),
+            middle(|r| r.solved_env_steps)
+        );
+    }
+    outln!(
+        "medians are to \"solved\" over complete runs; one that was not solved counts as later than all others"
+    );
+    Ok(())
+}

@@ -1,0 +1,19 @@
+//! Reports: statistics, pictures and a page from the records of any number of runs.
+//!
+//! - [`read`]: the runs below a directory, one after the other, each reduced to what is drawn of it;
+//! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
+//! - [`summary`]: runs grouped by task and arm, and what is said of each group and pair;
+//! - [`curves`]: many runs' records on one axis;
+//! - [`plot`]: pictures, as SVG and PNG; [`maze`]: those of a maze;
+//! - [`mod@write`]: everything into a directory, with the page that shows it.
+//!
+//! Nothing here knows networks or environments: what a picture of a maze needs is handed in as plain data.
+
+pub mod curves;
+pub mod maze;
+mod page;
+pub mod plot;
+pub mod read;
+pub mod stats;
+pub mod summary;
+pub mod write;

@@ -1,0 +1,330 @@
+//! Pictures of a maze: the mentor's path and what the observer has found out about each of its steps, the path that it
+//! has learnt, where it has been, and what it thinks of each cell.
+
+use crate::plot::{Area, GRID, INK, PAPER, PlotError, svg, text};
+use plotters::element::{Circle, PathElement, Rectangle};
+use plotters::style::text_anchor::{HPos, VPos};
+use plotters::style::{Color, RGBColor, ShapeStyle};
+
+/// What the observer knows of a mentor's step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// One of its own actions does the same.
+    Feasible,
+    /// None does, but a bridge leads back onto the path.
+    Bridged,
+    /// None does, and no bridge is known.
+    Infeasible,
+}
+
+impl Step {
+    /// All of them, with their colours and names.
+    const ALL: [(Self, RGBColor, &'static str); 3] = [
+        (Self::Feasible, RGBColor(0x00, 0x72, 0xb2), "mentor's step, feasible"),
+        (Self::Bridged, RGBColor(0xe6, 0x9f, 0x00), "mentor's step, bridged"),
+        (Self::Infeasible, RGBColor(0xcc, 0x79, 0xa7), "mentor's step, infeasible"),
+    ];
+
+    fn color(self) -> RGBColor {
+        Self::ALL.iter().find(|(step, ..)| *step == self).map_or(INK, |(_, color, _)| *color)
+    }
+}
+
+/// A cell: column and row, from the top left.
+pub type Cell = [usize; 2];
+
+/// One run in its maze.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Maze {
+    /// What the picture shows.
+    pub title: String,
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// Whether each cell is a wall, row by row.
+    pub walls: Vec<bool>,
+    /// Start and goal.
+    pub ends: [Cell; 2],
+    /// The mentor's steps.
+    pub mentor: Vec<(Cell, Cell, Step)>,
+    /// The path of a greedy episode.
+    pub path: Vec<Cell>,
+    /// How often each cell is the state of a stored transition, row by row; empty if unknown.
+    pub visits: Vec<f64>,
+    /// The largest Q-value in each cell, row by row; empty if unknown.
+    pub values: Vec<f64>,
+}
+
+/// Left and top of the map on its picture, and the width of the legend beside it.
+const LEFT: i32 = 16;
+const TOP: i32 = 56;
+const LEGEND: i32 = 216;
+/// Dark to light, even steps to the eye and to the colour-blind: seven colours of "viridis" (van der Walt and Smith 2015).
+const SHADES: [[f64; 3]; 7] = [
+    [68.0, 1.0, 84.0],
+    [68.0, 57.0, 131.0],
+    [49.0, 104.0, 142.0],
+    [33.0, 145.0, 140.0],
+    [53.0, 183.0, 121.0],
+    [144.0, 215.0, 67.0],
+    [253.0, 231.0, 37.0],
+];
+/// Walls of a heat map, where paper and ink are colours of the scale.
+const WALL: RGBColor = RGBColor(0x77, 0x78, 0x80);
+
+/// The colour of `share`, 0 to 1.
+fn shade(share: f64) -> RGBColor {
+    let at = share.clamp(0.0, 1.0) * (SHADES.len() - 1) as f64;
+    let low = (at.floor() as usize).min(SHADES.len() - 2);
+    let mix =
+        |i: usize| (SHADES[low][i] + (at - low as f64) * (SHADES[low + 1][i] - SHADES[low][i])).round() as u8;
+    RGBColor(mix(0), mix(1), mix(2))
+}
+
+impl Maze {
+    /// The map with the mentor's steps and the learnt path.
+    ///
+    /// # Errors
+    /// Those of the drawing library.
+    pub fn paths_svg(&self) -> Result<String, PlotError> {
+        self.svg("the mentor's path and the learnt one", |picture| {
+            picture.walls(INK)?;
+            picture.mentor()?;
+            picture.learnt()?;
+            picture.ends()?;
+            let entries: Vec<_> = Step::ALL.iter().map(|(_, color, name)| (*color, *name)).collect();
+            picture.legend(&entries)
+        })
+    }
+
+    /// Visits of each cell, if they are known: logarithmic.
+    ///
+    /// # Errors
+    /// Those of the drawing library.
+    pub fn visits_svg(&self) -> Option<Result<String, PlotError>> {
+        let most = self.visits.iter().copied().fold(f64::NAN, f64::max);
+        (most > 0.0).then(|| {
+            let share =
+                |visits: f64| if visits > 0.0 { (1.0 + visits).ln() / (1.0 + most).ln() } else { f64::NAN };
+            let middle = (1.0 + most).sqrt() - 1.0;
+            self.heat(
+                "visits in the stored transitions (logarithmic)",
+                &self.visits,
+                share,
+                [0.0, middle.round(), most],
+            )
+        })
+    }
+
+    /// The value max_a Q(s, a) of each cell, if it is known.
+    ///
+    /// # Errors
+    /// Those of the drawing library.
+    pub fn values_svg(&self) -> Option<Result<String, PlotError>> {
+        let free = || self.values.iter().zip(&self.walls).filter(|(_, wall)| !**wall).map(|(v, _)| *v);
+        let (low, high) = (free().fold(f64::NAN, f64::min), free().fold(f64::NAN, f64::max));
+        (high > low).then(|| {
+            let share = |value: f64| (value - low) / (high - low);
+            self.heat(
+                "value: the largest Q of each cell",
+                &self.values,
+                share,
+                [low, (low + high) / 2.0, high],
+            )
+        })
+    }
+
+    /// A map of `numbers`, coloured by their `share` (NaN: left blank); `marks` are written at its scale.
+    fn heat(
+        &self,
+        what: &str,
+        numbers: &[f64],
+        share: impl Fn(f64) -> f64,
+        marks: [f64; 3],
+    ) -> Result<String, PlotError> {
+        self.svg(what, |picture| {
+            for (index, &number) in numbers.iter().enumerate() {
+                let share = share(number);
+                if share.is_finite() && !self.walls[index] {
+                    picture.cell([index % self.size[0], index / self.size[0]], shade(share))?;
+                }
+            }
+            picture.walls(WALL)?;
+            picture.ends()?;
+            picture.scale(marks)
+        })
+    }
+
+    fn svg(
+        &self,
+        what: &str,
+        draw: impl FnOnce(&Picture<'_, '_>) -> Result<(), PlotError>,
+    ) -> Result<String, PlotError> {
+        // Some five hundred pixels for the longer side.
+        let side = (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 36) as i32;
+        let [width, height] = self.size.map(|n| n as i32 * side);
+        let size = [LEFT + width + LEGEND, (TOP + height + 16).max(TOP + 200)];
+        svg(size.map(|n| n as u32), |area| {
+            let picture = Picture { area, maze: self, side };
+            picture.say(&self.title, 16, HPos::Left, (LEFT, 10))?;
+            picture.say(what, 11, HPos::Left, (LEFT, 32))?;
+            draw(&picture)?;
+            picture.frame([(LEFT, TOP), (LEFT + width, TOP + height)])
+        })
+    }
+}
+
+/// A maze that is being drawn; cells are `side` pixels wide.
+struct Picture<'a, 'b> {
+    area: &'a Area<'b>,
+    maze: &'a Maze,
+    side: i32,
+}
+
+impl Picture<'_, '_> {
+    fn say(&self, words: &str, size: u32, at: HPos, point: (i32, i32)) -> Result<(), PlotError> {
+        self.area.draw_text(words, &text(size, at, VPos::Top), point).map_err(PlotError::draw)
+    }
+
+    fn frame(&self, corners: [(i32, i32); 2]) -> Result<(), PlotError> {
+        self.area.draw(&Rectangle::new(corners, INK.stroke_width(1))).map_err(PlotError::draw)
+    }
+
+    fn path(&self, points: Vec<(i32, i32)>, style: ShapeStyle) -> Result<(), PlotError> {
+        self.area.draw(&PathElement::new(points, style)).map_err(PlotError::draw)
+    }
+
+    fn dot(&self, at: (i32, i32), radius: i32, style: ShapeStyle) -> Result<(), PlotError> {
+        self.area.draw(&Circle::new(at, radius, style)).map_err(PlotError::draw)
+    }
+
+    fn corner(&self, [column, row]: Cell) -> (i32, i32) {
+        (LEFT + column as i32 * self.side, TOP + row as i32 * self.side)
+    }
+
+    fn centre(&self, cell: Cell) -> (i32, i32) {
+        let (x, y) = self.corner(cell);
+        (x + self.side / 2, y + self.side / 2)
+    }
+
+    fn cell(&self, cell: Cell, color: RGBColor) -> Result<(), PlotError> {
+        let (x, y) = self.corner(cell);
+        let corners = [(x, y), (x + self.side, y + self.side)];
+        self.area.draw(&Rectangle::new(corners, color.filled())).map_err(PlotError::draw)
+    }
+
+    fn walls(&self, color: RGBColor) -> Result<(), PlotError> {
+        let columns = self.maze.size[0];
+        let walls = self.maze.walls.iter().enumerate().filter(|(_, wall)| **wall);
+        walls.map(|(at, _)| [at % columns, at / columns]).try_for_each(|cell| self.cell(cell, color))
+    }
+
+    /// The mentor's steps, a little beside the middle of their cells, so that the learnt path does not hide them.
+    fn mentor(&self) -> Result<(), PlotError> {
+        let aside = self.side / 5;
+        for &(from, to, step) in &self.maze.mentor {
+            let ends = [from, to].map(|cell| self.centre(cell)).map(|(x, y)| (x - aside, y - aside));
+            self.path(ends.to_vec(), step.color().stroke_width(3))?;
+            self.dot(ends[0], 2, step.color().filled())?;
+        }
+        Ok(())
+    }
+
+    fn learnt(&self) -> Result<(), PlotError> {
+        let points: Vec<_> = self.maze.path.iter().map(|&cell| self.centre(cell)).collect();
+        self.path(points, LEARNT.stroke_width(2))
+    }
+
+    fn ends(&self) -> Result<(), PlotError> {
+        for (cell, letter) in self.maze.ends.into_iter().zip(["S", "G"]) {
+            let (x, y) = self.centre(cell);
+            self.dot((x, y), (self.side / 2).max(6), PAPER.filled())?;
+            self.dot((x, y), (self.side / 2).max(6), INK.stroke_width(1))?;
+            let style = text(self.side.clamp(10, 14) as u32, HPos::Center, VPos::Center);
+            self.area.draw_text(letter, &style, (x, y)).map_err(PlotError::draw)?;
+        }
+        Ok(())
+    }
+
+    /// Left end of what is beside the map.
+    fn beside(&self) -> i32 {
+        LEFT + self.maze.size[0] as i32 * self.side + 16
+    }
+
+    fn legend(&self, steps: &[(RGBColor, &str)]) -> Result<(), PlotError> {
+        let x = self.beside();
+        for (index, (color, name)) in steps.iter().chain([&(LEARNT, "learnt path (greedy)")]).enumerate() {
+            let y = TOP + 8 + 22 * index as i32;
+            self.path(vec![(x, y), (x + 26, y)], color.stroke_width(3))?;
+            self.say(name, 12, HPos::Left, (x + 34, y - 6))?;
+        }
+        Ok(())
+    }
+
+    /// The colours from low to high with three numbers.
+    fn scale(&self, marks: [f64; 3]) -> Result<(), PlotError> {
+        const HEIGHT: i32 = 160;
+        let (x, bottom) = (self.beside(), TOP + 8 + HEIGHT);
+        for step in 0..HEIGHT / 2 {
+            let y = bottom - 2 * step;
+            let color = shade(f64::from(2 * step) / f64::from(HEIGHT));
+            self.area
+                .draw(&Rectangle::new([(x, y - 2), (x + 18, y)], color.filled()))
+                .map_err(PlotError::draw)?;
+        }
+        self.area
+            .draw(&Rectangle::new([(x, bottom - HEIGHT), (x + 18, bottom)], GRID.stroke_width(1)))
+            .map_err(PlotError::draw)?;
+        for (index, mark) in marks.into_iter().enumerate() {
+            let decimals = if mark.abs() >= 100.0 || mark.fract() == 0.0 { 0 } else { 2 };
+            let y = bottom - HEIGHT / 2 * index as i32;
+            self.say(&format!("{mark:.decimals$}"), 12, HPos::Left, (x + 26, y - 6))?;
+        }
+        Ok(())
+    }
+}
+
+/// The learnt path.
+const LEARNT: RGBColor = RGBColor(0x00, 0x9e, 0x73);
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn maze() -> Maze {
+        Maze {
+            title: "maze".into(),
+            size: [3, 2],
+            walls: vec![false, true, false, false, false, false],
+            ends: [[0, 0], [2, 0]],
+            mentor: vec![([0, 0], [0, 1], Step::Feasible), ([0, 1], [1, 1], Step::Bridged)],
+            path: vec![[0, 0], [0, 1], [1, 1], [2, 0]],
+            visits: vec![5.0, 0.0, 0.0, 2.0, 1.0, 1.0],
+            values: vec![-1.0, 99.0, 0.5, -0.5, 0.0, 0.2],
+        }
+    }
+
+    #[test]
+    fn each_picture_shows_what_is_known() {
+        let maze = maze();
+        let paths = maze.paths_svg().unwrap();
+        assert!(paths.contains("mentor&apos;s step, bridged") || paths.contains("mentor's step, bridged"));
+        let visits = maze.visits_svg().unwrap().unwrap();
+        assert!(visits.contains("visits in the stored transitions") && !visits.contains("1.45"));
+        // The wall's value is no part of the scale.
+        let values = maze.values_svg().unwrap().unwrap();
+        assert!(values.contains("0.50") && !values.contains("99.00"));
+        let unknown = Maze { visits: Vec::new(), values: Vec::new(), ..maze };
+        assert!(unknown.visits_svg().is_none() && unknown.values_svg().is_none());
+    }
+
+    #[test]
+    fn the_scale_runs_from_dark_to_light() {
+        let light = |share| {
+            let RGBColor(r, g, b) = shade(share);
+            u32::from(r) + u32::from(g) + u32::from(b)
+        };
+        assert_eq!((shade(0.0), shade(1.0)), (RGBColor(68, 1, 84), RGBColor(253, 231, 37)));
+        assert!(light(0.0) < light(0.5) && light(0.5) < light(1.0));
+    }
+}

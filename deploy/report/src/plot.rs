@@ -1,0 +1,188 @@
+//! Pictures: a chart of lines with bands, and a chart of intervals. Each is drawn once, as SVG; the PNG is that SVG
+//! rasterised, with a font that is part of the program, so that pictures are the same on every machine.
+//!
+//! Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; lines differ in their dashes as
+//! well. Ink, grid and paper are named apart, so that a page can have them follow its own colours ([`inline`]).
+
+mod chart;
+mod intervals;
+mod scale;
+
+pub use chart::{Chart, Line};
+pub use intervals::{Intervals, Row};
+pub use scale::{Axis, Scale};
+
+use plotters::backend::SVGBackend;
+use plotters::coord::Shift;
+use plotters::drawing::{DrawingArea, IntoDrawingArea};
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::{FontTransform, IntoFont, IntoTextStyle, RGBColor, TextStyle};
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::{Options, Tree};
+use std::sync::Arc;
+
+/// A picture that cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// Drawing.
+    #[error("cannot draw a picture: {0}")]
+    Draw(String),
+    /// Turning it into a PNG.
+    #[error("cannot rasterise a picture: {0}")]
+    Raster(String),
+}
+
+impl PlotError {
+    pub(crate) fn draw(error: impl std::fmt::Display) -> Self {
+        Self::Draw(error.to_string())
+    }
+}
+
+/// Text and axes.
+pub(crate) const INK: RGBColor = RGBColor(0x1f, 0x20, 0x24);
+/// Lines of the grid.
+pub(crate) const GRID: RGBColor = RGBColor(0xdc, 0xdd, 0xe2);
+/// Background.
+pub(crate) const PAPER: RGBColor = RGBColor(0xff, 0xff, 0xfe);
+
+/// Okabe and Ito's colours without black and yellow, which vanish on one paper or the other.
+const COLORS: [RGBColor; 6] = [
+    RGBColor(0x00, 0x72, 0xb2),
+    RGBColor(0xe6, 0x9f, 0x00),
+    RGBColor(0x00, 0x9e, 0x73),
+    RGBColor(0xd5, 0x5e, 0x00),
+    RGBColor(0xcc, 0x79, 0xa7),
+    RGBColor(0x56, 0xb4, 0xe9),
+];
+/// Lengths of dash and gap, pixels; a gap of 0 is a solid line.
+const DASHES: [(u32, u32); 4] = [(1, 0), (9, 4), (3, 3), (14, 4)];
+
+/// The colour of the `index`-th arm.
+pub(crate) fn color(index: usize) -> RGBColor {
+    COLORS[index % COLORS.len()]
+}
+
+/// Dashes of the `index`-th arm: two arms of one colour have different ones, and so have neighbours.
+fn dashes(index: usize) -> (u32, u32) {
+    DASHES[(index + index / COLORS.len()) % DASHES.len()]
+}
+
+/// A place to draw on.
+pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// An SVG of `width` x `height` pixels, drawn by `draw` on paper.
+pub(crate) fn svg(
+    [width, height]: [u32; 2],
+    draw: impl FnOnce(&Area<'_>) -> Result<(), PlotError>,
+) -> Result<String, PlotError> {
+    let mut text = String::new();
+    {
+        let area = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
+        area.fill(&PAPER).map_err(PlotError::draw)?;
+        draw(&area)?;
+        area.present().map_err(PlotError::draw)?;
+    }
+    Ok(text)
+}
+
+/// `svg` for a page that defines the colours `--paper` and `--grid` and whose text has the colour of ink.
+pub fn inline(svg: &str) -> String {
+    let hex = |RGBColor(r, g, b): RGBColor| format!("\"#{r:02X}{g:02X}{b:02X}\"");
+    // The size becomes the page's affair.
+    let start = svg.find("<svg").unwrap_or(0);
+    let (head, rest) = svg[start..].split_at(svg[start..].find('>').unwrap_or(0));
+    let size = |name: &str| {
+        let from = head.find(&format!("{name}=\""))? + name.len() + 2;
+        head[from..].split('"').next()
+    };
+    let view = format!("0 0 {} {}", size(" width").unwrap_or("1"), size(" height").unwrap_or("1"));
+    format!("<svg viewBox=\"{view}\" xmlns=\"http://www.w3.org/2000/svg\" role=\"img\"{rest}")
+        .replace(&hex(INK), "\"currentColor\"")
+        .replace(&hex(GRID), "\"var(--grid)\"")
+        .replace(&hex(PAPER), "\"var(--paper)\"")
+}
+
+/// The PNG of `svg`, twice as many pixels each way.
+///
+/// # Errors
+/// An SVG that is none, or memory.
+pub fn png(svg: &str) -> Result<Vec<u8>, PlotError> {
+    const ZOOM: f32 = 2.0;
+    let mut options = Options::default();
+    let fonts = Arc::make_mut(&mut options.fontdb);
+    fonts.load_font_data(include_bytes!("../font/DejaVuSans-subset.ttf").to_vec());
+    fonts.set_sans_serif_family("DejaVu Sans");
+    let tree = Tree::from_str(svg, &options).map_err(|e| PlotError::Raster(e.to_string()))?;
+    let size = tree.size();
+    let pixels = |side: f32| (side * ZOOM).ceil() as u32;
+    let mut pixmap = Pixmap::new(pixels(size.width()), pixels(size.height()))
+        .ok_or_else(|| PlotError::Raster(format!("no picture has {size:?} pixels")))?;
+    resvg::render(&tree, Transform::from_scale(ZOOM, ZOOM), &mut pixmap.as_mut());
+    pixmap.encode_png().map_err(|e| PlotError::Raster(e.to_string()))
+}
+
+/// Text of `size` pixels, its anchor point at `horizontal` and `vertical` of it.
+pub(crate) fn text(size: u32, horizontal: HPos, vertical: VPos) -> TextStyle<'static> {
+    ("sans-serif", size).into_font().color(&INK).pos(Pos::new(horizontal, vertical))
+}
+
+/// [`text`] that reads upwards.
+fn upward(size: u32) -> TextStyle<'static> {
+    let font = ("sans-serif", size).into_font().transform(FontTransform::Rotate270);
+    font.into_text_style(&(0, 0)).color(&INK).pos(Pos::new(HPos::Center, VPos::Top))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn chart() -> Chart {
+        let line = |name: &str, slope: f64| Line {
+            name: name.into(),
+            points: (0..50)
+                .map(|x| (f64::from(x), slope * f64::from(x), -1.0, slope * f64::from(x) + 2.0))
+                .collect(),
+        };
+        Chart {
+            title: "Returns & <costs>".into(),
+            x: Axis::fit("environment steps", Scale::Linear, 0.0, 49.0),
+            y: Axis::fit("return", Scale::SignedLog, -3000.0, 5.0),
+            lines: vec![line("dqn", -60.0), line("ha-diiqn", -1.0)],
+            rules: vec![(-3.4, "best".into())],
+            note: "mean and standard deviation".into(),
+        }
+    }
+
+    #[test]
+    fn a_picture_is_drawn_the_same_every_time() {
+        let svg = chart().svg().unwrap();
+        assert_eq!(svg, chart().svg().unwrap());
+        for text in ["Returns &amp; &lt;costs&gt;", "environment steps", "ha-diiqn", "best"] {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        let png = png(&svg).unwrap();
+        assert!(png.starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn a_page_can_have_its_own_colours() {
+        let svg = inline(&chart().svg().unwrap());
+        assert!(svg.starts_with("<svg viewBox=\"0 0 720 420\""), "{}", &svg[..80]);
+        assert!(svg.contains("currentColor") && svg.contains("var(--grid)") && svg.contains("var(--paper)"));
+        for fixed in ["#1F2024", "#DCDDE2", "#FFFFFE"] {
+            assert!(!svg.contains(fixed), "{fixed}");
+        }
+    }
+
+    #[test]
+    fn the_font_has_the_letters() {
+        // With the letters missing nothing would be drawn: a picture of text alone is not blank.
+        let written = svg([60, 20], |area| {
+            area.draw_text("e_KL µ", &text(12, HPos::Left, VPos::Top), (2, 2)).map_err(PlotError::draw)
+        });
+        let blank = svg([60, 20], |_| Ok(()));
+        assert_ne!(png(&written.unwrap()).unwrap(), png(&blank.unwrap()).unwrap());
+    }
+}

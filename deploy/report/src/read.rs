@@ -1,0 +1,431 @@
+//! Runs as a report sees them: found below a directory, read one after the other, reduced to what is drawn.
+//!
+//! A run is a directory with a `config.toml`. What it lacks beyond that is missing from the report and said to be; no
+//! single run can spoil the others'. Memory does not grow with a run's length: a series that gets longer than
+//! [`MAX_POINTS`] is thinned out to every second point, and so on.
+
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use trestle_proto::config::{self, Config};
+use trestle_proto::rundir::RunDir;
+
+/// Points that are kept of a series, at most.
+pub const MAX_POINTS: usize = 1024;
+/// Levels of directories below the one that is named in which runs are looked for.
+pub const MAX_DEPTH: usize = 4;
+/// Runs of a report, at most.
+pub const MAX_RUNS: usize = 10_000;
+/// Longest line of a record that is looked at, bytes; longer ones are passed over.
+const MAX_LINE: u64 = 1 << 16;
+
+/// A report without runs, or a directory that cannot be listed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// Reading a directory.
+    #[error("cannot read {path}")]
+    Io {
+        /// The directory.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Nothing to report on.
+    #[error(
+        "{path} holds no run; accepted: a run's directory (with a config.toml) or one with runs up to {MAX_DEPTH} levels below it"
+    )]
+    NoRuns {
+        /// The directory.
+        path: PathBuf,
+    },
+    /// Runs, but none that can be read.
+    #[error("none of the runs in {path} can be read; {first}")]
+    Unreadable {
+        /// The directory.
+        path: PathBuf,
+        /// What is wrong with the first of them.
+        first: String,
+    },
+    /// Too much to report on.
+    #[error("{path} holds more than {MAX_RUNS} runs; accepted: fewer, for example one arm's directory")]
+    TooMany {
+        /// The directory.
+        path: PathBuf,
+    },
+}
+
+/// What `result.json` says.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Outcome {
+    /// Name of the environment.
+    pub env: String,
+    /// Finished training episodes.
+    pub episodes: u64,
+    /// Environment steps.
+    pub env_steps: u64,
+    /// Gradient steps.
+    pub grad_steps: u64,
+    /// Seconds of training.
+    pub wall_s: f64,
+    /// Episode and environment steps of "solved".
+    pub solved_episode: Option<u64>,
+    /// See `solved_episode`.
+    pub solved_env_steps: Option<u64>,
+    /// Episode and environment steps of "optimal".
+    pub optimal_episode: Option<u64>,
+    /// See `optimal_episode`.
+    pub optimal_env_steps: Option<u64>,
+    /// Return that counts as optimal.
+    pub threshold: Option<f64>,
+    /// Highest return of an evaluation.
+    pub best_return: Option<f64>,
+    /// Return of the last evaluation.
+    pub final_return: Option<f64>,
+    /// Whether the run ended before its limits.
+    pub interrupted: bool,
+}
+
+/// A number that was recorded at some point of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Finished episodes.
+    pub episode: f64,
+    /// Environment steps.
+    pub env_steps: f64,
+    /// The number.
+    pub value: f64,
+}
+
+/// A series of bounded length, in the order of time.
+#[derive(Clone, Debug, Default)]
+pub struct Series {
+    points: Vec<Point>,
+    /// The last point, which is always part of the series.
+    last: Option<Point>,
+    /// One point in 2^`level` is kept.
+    level: u32,
+    seen: u64,
+}
+
+impl Series {
+    fn push(&mut self, point: Point) {
+        if self.seen.is_multiple_of(1 << self.level) {
+            if self.points.len() == MAX_POINTS {
+                let mut at = 0;
+                self.points.retain(|_| {
+                    at += 1;
+                    at % 2 == 1
+                });
+                self.level += 1;
+            }
+            if self.seen.is_multiple_of(1 << self.level) {
+                self.points.push(point);
+            }
+        }
+        self.last = Some(point);
+        self.seen += 1;
+    }
+
+    /// All points that were kept.
+    pub fn points(&self) -> impl Iterator<Item = Point> + '_ {
+        let end = self.last.filter(|last| self.points.last() != Some(last));
+        self.points.iter().copied().chain(end)
+    }
+
+    /// Whether nothing was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.last.is_none()
+    }
+}
+
+impl FromIterator<Point> for Series {
+    fn from_iter<I: IntoIterator<Item = Point>>(points: I) -> Self {
+        let mut series = Self::default();
+        points.into_iter().for_each(|point| series.push(point));
+        series
+    }
+}
+
+/// One run.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Its directory.
+    pub path: PathBuf,
+    /// The arm of the comparison that it belongs to.
+    pub arm: String,
+    /// What it was trained on.
+    pub task: String,
+    /// Its resolved configuration.
+    pub config: Config,
+    /// What it came to, if it has come to something.
+    pub outcome: Option<Outcome>,
+    /// Return of the greedy evaluations.
+    pub evaluations: Series,
+    /// Mean return of the last 100 training episodes.
+    pub training: Series,
+    /// Share of mentor transitions that are feasible.
+    pub feasible: Series,
+    /// Share of mentor transitions that have a bridge.
+    pub bridged: Series,
+    /// Mean e_KL of the mentor transitions.
+    pub e_kl: Series,
+}
+
+impl Run {
+    /// What it came to, if it has run its whole length.
+    pub fn complete(&self) -> Option<&Outcome> {
+        self.outcome.as_ref().filter(|outcome| !outcome.interrupted)
+    }
+}
+
+/// The runs below `root`, ordered by task, arm and seed, and what was missing or passed over.
+///
+/// The arm of a run in `<arm>/seed-<N>` below `root` is `<arm>`; of any other run it is the name of its algorithm. The
+/// task is the environment's name, and where runs in several directories above their arms' have the same environment, that
+/// of the directory as well.
+///
+/// # Errors
+/// A directory that cannot be listed, no run at all, or too many of them.
+pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
+    let mut paths = Vec::new();
+    find(root, 0, &mut paths)?;
+    if paths.len() > MAX_RUNS {
+        return Err(ReadError::TooMany { path: root.into() });
+    }
+    let (mut runs, mut notes) = (Vec::new(), Vec::new());
+    for path in paths {
+        match read_run(root, &path, &mut notes) {
+            Ok(run) => runs.push((place(root, &path).0, run)),
+            Err(fault) => notes.push(format!("{} is left out: {fault}", path.display())),
+        }
+    }
+    if runs.is_empty() {
+        let path = root.into();
+        return Err(match notes.into_iter().next() {
+            Some(first) => ReadError::Unreadable { path, first },
+            None => ReadError::NoRuns { path },
+        });
+    }
+    let mut runs = name_tasks(runs);
+    runs.sort_by(|a, b| {
+        let key = |run: &Run| (run.task.clone(), run.arm.clone(), run.config.run.seed, run.path.clone());
+        key(a).cmp(&key(b))
+    });
+    Ok((runs, notes))
+}
+
+/// Adds to the task of each run the directory above its arm's where the environment alone does not tell tasks apart.
+fn name_tasks(runs: Vec<(String, Run)>) -> Vec<Run> {
+    let mut places: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for (above, run) in &runs {
+        places.entry(run.task.clone()).or_default().insert(above.clone());
+    }
+    let name = |(above, mut run): (String, Run)| {
+        if places[&run.task].len() > 1 && !above.is_empty() {
+            run.task = format!("{}, {above}", run.task);
+        }
+        run
+    };
+    runs.into_iter().map(name).collect()
+}
+
+/// Directories with a `config.toml`, themselves not searched any deeper.
+fn find(dir: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), ReadError> {
+    if RunDir::new(dir).config().is_file() {
+        found.push(dir.into());
+        return Ok(());
+    }
+    if depth == MAX_DEPTH || found.len() > MAX_RUNS {
+        return Ok(());
+    }
+    let fault = |source| ReadError::Io { path: dir.into(), source };
+    let mut below = Vec::new();
+    for entry in fs::read_dir(dir).map_err(fault)? {
+        let entry = entry.map_err(fault)?;
+        // A link is not followed: it may lead back.
+        // What is hidden is somebody's scratch.
+        let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+        if !hidden && entry.file_type().map_err(fault)?.is_dir() {
+            below.push(entry.path());
+        }
+    }
+    below.sort();
+    below.iter().try_for_each(|path| find(path, depth + 1, found))
+}
+
+fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, String> {
+    let dir = RunDir::new(path);
+    let file = dir.config();
+    let text = fs::read_to_string(&file).map_err(|e| format!("{}: {e}", file.display()))?;
+    let config = config::parse_toml(&file.display().to_string(), &text).map_err(|e| e.to_string())?;
+    let outcome = match fs::read(dir.result()) {
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .map_err(|e| notes.push(format!("{} cannot be read: {e}", dir.result().display())))
+            .ok(),
+        Err(_) => None,
+    };
+    let outcome: Option<Outcome> = outcome;
+    let task = match &outcome {
+        Some(outcome) => outcome.env.clone(),
+        None => dir.read_plan().map(|plan| plan.spec.name).map_err(|e| e.to_string())?,
+    };
+    let mut run = Run {
+        path: path.into(),
+        arm: place(root, path).1.unwrap_or_else(|| config.run.algo.name().into()),
+        task,
+        config,
+        outcome,
+        evaluations: Series::default(),
+        training: Series::default(),
+        feasible: Series::default(),
+        bridged: Series::default(),
+        e_kl: Series::default(),
+    };
+    if let Err(fault) = read_evaluations(&dir.evals(), &mut run) {
+        notes.push(format!("{}: {fault}", dir.evals().display()));
+    }
+    if let Err(fault) = read_metrics(&dir.metrics(), &mut run) {
+        notes.push(format!("{}: {fault}", dir.metrics().display()));
+    }
+    Ok(run)
+}
+
+/// The directories above the arm's, and the arm, of a run in `<above>/<arm>/seed-<N>` below `root`.
+fn place(root: &Path, path: &Path) -> (String, Option<String>) {
+    let find = || {
+        let below = path.strip_prefix(root).ok()?;
+        below.file_name()?.to_str()?.strip_prefix("seed-")?.parse::<u64>().ok()?;
+        let arm = below.parent()?;
+        Some((arm.parent()?.to_str()?.to_string(), arm.file_name()?.to_str()?.to_string()))
+    };
+    find().map_or_else(|| (String::new(), None), |(above, arm)| (above, Some(arm)))
+}
+
+/// A line of evals.csv.
+#[derive(Deserialize)]
+struct Evaluation {
+    episode: f64,
+    env_steps: f64,
+    #[serde(rename = "return")]
+    value: f64,
+}
+
+fn read_evaluations(path: &Path, run: &mut Run) -> Result<(), String> {
+    let mut reader = csv::Reader::from_path(path).map_err(|e| e.to_string())?;
+    for row in reader.deserialize() {
+        // The last line of a run that is still going on may be half written.
+        let Ok(Evaluation { episode, env_steps, value }) = row else { break };
+        run.evaluations.push(Point { episode, env_steps, value });
+    }
+    Ok(())
+}
+
+/// A line of metrics.jsonl, as far as it is drawn.
+#[derive(Deserialize)]
+struct Metrics {
+    #[serde(rename = "time/episodes")]
+    episode: f64,
+    #[serde(rename = "time/total_timesteps")]
+    env_steps: f64,
+    #[serde(rename = "rollout/ep_rew")]
+    episode_return: Option<f64>,
+    #[serde(rename = "rollout/ep_rew_mean")]
+    mean_return: Option<f64>,
+    #[serde(rename = "mentor/feasible_frac")]
+    feasible: Option<f64>,
+    #[serde(rename = "mentor/bridged_frac")]
+    bridged: Option<f64>,
+    #[serde(rename = "mentor/e_kl_mean")]
+    e_kl: Option<f64>,
+}
+
+fn read_metrics(path: &Path, run: &mut Run) -> Result<(), String> {
+    let mut file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        if file.by_ref().take(MAX_LINE).read_until(b'\n', &mut line).map_err(|e| e.to_string())? == 0 {
+            return Ok(());
+        }
+        let Ok(row) = serde_json::from_slice::<Metrics>(&line) else { continue };
+        let point = |value| Point { episode: row.episode, env_steps: row.env_steps, value };
+        if let (Some(_), Some(mean)) = (row.episode_return, row.mean_return) {
+            run.training.push(point(mean));
+        }
+        let gauges =
+            [(row.feasible, &mut run.feasible), (row.bridged, &mut run.bridged), (row.e_kl, &mut run.e_kl)];
+        for (value, series) in gauges {
+            if let Some(value) = value.filter(|v| v.is_finite()) {
+                series.push(point(value));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn point(x: u64) -> Point {
+        Point { episode: x as f64, env_steps: 2.0 * x as f64, value: -(x as f64) }
+    }
+
+    #[test]
+    fn a_series_keeps_its_shape_in_bounded_memory() {
+        for count in [0, 1, MAX_POINTS as u64, MAX_POINTS as u64 + 1, 100_000] {
+            let series: Series = (0..count).map(point).collect();
+            let kept: Vec<Point> = series.points().collect();
+            assert!(kept.len() <= MAX_POINTS + 1);
+            assert_eq!(kept.first().copied(), (count > 0).then(|| point(0)));
+            assert_eq!(kept.last().copied(), count.checked_sub(1).map(point));
+            let gaps = kept.windows(2).map(|w| w[1].episode - w[0].episode);
+            let longest = gaps.fold(0.0, f64::max);
+            assert!(longest <= (4 * count) as f64 / MAX_POINTS as f64 + 1.0, "{count}: {longest}");
+        }
+    }
+
+    #[test]
+    fn only_directories_of_seeds_name_an_arm() {
+        let root = Path::new("runs");
+        let of = |path: &str| place(root, Path::new(path));
+        assert_eq!(of("runs/literal/seed-3"), (String::new(), Some("literal".into())));
+        assert_eq!(of("runs/a/b/seed-3"), ("a".into(), Some("b".into())));
+        for other in ["runs/seed-3", "runs", "runs/a/seed-x", "runs/a/maze30-dqn-seed1"] {
+            assert_eq!(of(other), (String::new(), None), "{other}");
+        }
+    }
+
+    #[test]
+    fn directories_tell_tasks_of_one_environment_apart() {
+        let run = |task: &str| Run {
+            path: PathBuf::new(),
+            arm: "dqn".into(),
+            task: task.into(),
+            config: Config::default(),
+            outcome: None,
+            evaluations: Series::default(),
+            training: Series::default(),
+            feasible: Series::default(),
+            bridged: Series::default(),
+            e_kl: Series::default(),
+        };
+        let runs = [("hot", "maze"), ("cold", "maze"), ("", "maze"), ("warm", "other"), ("warm", "other")];
+        let named = name_tasks(runs.map(|(above, task)| (above.to_string(), run(task))).into());
+        let tasks: Vec<&str> = named.iter().map(|run| run.task.as_str()).collect();
+        assert_eq!(tasks, ["maze, hot", "maze, cold", "maze", "other", "other"]);
+    }
+
+    #[test]
+    fn a_directory_without_runs_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(matches!(read_runs(dir.path()), Err(ReadError::NoRuns { .. })));
+        assert!(matches!(read_runs(&dir.path().join("absent")), Err(ReadError::Io { .. })));
+        let run = dir.path().join("arm/seed-0");
+        fs::create_dir_all(&run).unwrap();
+        fs::write(run.join("config.toml"), "[run]\nepisodes = 0\n").unwrap();
+        assert!(matches!(read_runs(dir.path()), Err(ReadError::Unreadable { .. })));
+    }
+}

@@ -1,0 +1,114 @@
+//! The arms of a sweep: algorithms as they are, and settings with a name.
+
+use serde::{Deserialize, Serialize};
+use std::str::FromStr;
+
+/// Arms of a sweep, at most.
+pub(crate) const MAX_ARMS: usize = 256;
+/// Letters of a name, at most: it becomes a directory.
+const MAX_NAME: usize = 64;
+
+/// One arm: a name, and what it sets on top of the sweep's configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Arm {
+    /// Its name, which is that of its directory; with [`super::over`] the task's directory and that within it.
+    pub(crate) name: String,
+    /// `key=value`, as `--set` takes them.
+    pub(crate) sets: Vec<String>,
+}
+
+impl Arm {
+    /// An algorithm as it is.
+    pub(crate) fn plain(algo: &str) -> Self {
+        Self { name: algo.into(), sets: vec![format!("run.algo={algo:?}")] }
+    }
+}
+
+impl FromStr for Arm {
+    type Err = String;
+
+    /// `NAME:key=value,key=value`. Commas within brackets or quotes belong to the value.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, rest) = text.split_once(':').ok_or("no colon; accepted: NAME:key=value,key=value")?;
+        let letter = |c: char| c.is_ascii_alphanumeric() || "-_.@+".contains(c);
+        if name.is_empty() || name.len() > MAX_NAME || name.starts_with('.') || !name.chars().all(letter) {
+            return Err(format!(
+                "the name {name:?}; accepted: 1 to {MAX_NAME} of the letters a-z, A-Z, 0-9 and -_.@+, no dot first"
+            ));
+        }
+        if name == "report" {
+            return Err(
+                "the name \"report\", which is that of the report's directory; accepted: another one".into(),
+            );
+        }
+        let sets = pieces(rest)?;
+        if let Some(set) = sets.iter().find(|set| !set.contains('=')) {
+            return Err(format!("the setting {set:?}; accepted: key=value"));
+        }
+        // `algo` alone is how the flag is called.
+        let full = |set: String| match set.strip_prefix("algo=") {
+            Some(algo) => format!("run.algo={algo}"),
+            None => set,
+        };
+        Ok(Self { name: name.into(), sets: sets.into_iter().map(full).collect() })
+    }
+}
+
+/// `text` cut at its commas, but for those within brackets or quotes.
+pub(super) fn pieces(text: &str) -> Result<Vec<String>, String> {
+    let (mut pieces, mut piece, mut depth, mut quote) = (Vec::new(), String::new(), 0u32, None);
+    for c in text.chars() {
+        match (c, quote) {
+            (_, Some(open)) if c == open => quote = None,
+            (_, Some(_)) => {}
+            ('"' | '\'', None) => quote = Some(c),
+            ('[' | '{', None) => depth += 1,
+            (']' | '}', None) => {
+                depth = depth.checked_sub(1).ok_or(format!("a bracket too many in {text:?}"))?
+            }
+            (',', None) if depth == 0 => {
+                pieces.push(std::mem::take(&mut piece));
+                continue;
+            }
+            _ => {}
+        }
+        piece.push(c);
+    }
+    if depth > 0 || quote.is_some() {
+        return Err(format!("a bracket or quote without its end in {text:?}"));
+    }
+    pieces.push(piece);
+    Ok(pieces)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn settings_are_cut_at_their_commas_alone() {
+        let arm: Arm =
+            "literal:algo=ha-diiqn,learner.hidden=[64, 64],mentor.demo=\"a,b.csv\"".parse().unwrap();
+        assert_eq!(arm.name, "literal");
+        assert_eq!(arm.sets, ["run.algo=ha-diiqn", "learner.hidden=[64, 64]", "mentor.demo=\"a,b.csv\""]);
+    }
+
+    #[test]
+    fn what_is_no_arm_is_refused_by_name() {
+        for (text, says) in [
+            ("literal", "no colon"),
+            (":algo=dqn", "name \"\""),
+            ("../up:algo=dqn", "name \"../up\""),
+            (".hidden:algo=dqn", "no dot first"),
+            ("report:algo=dqn", "the name \"report\""),
+            ("a:algo", "setting \"algo\""),
+            ("a:x=1,,y=2", "setting \"\""),
+            ("a:x=[1,2", "without its end"),
+            ("a:x=1]", "a bracket too many"),
+        ] {
+            let error = Arm::from_str(text).unwrap_err();
+            assert!(error.contains(says), "{text}: {error}");
+        }
+    }
+}

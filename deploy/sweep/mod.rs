@@ -1,0 +1,346 @@
+//! A sweep: many runs, some of them at once, each with a directory of its own that does not depend on the others.
+//!
+//! All runs are supervised by this one process ([`crate::supervise`]), so nothing of them outlives it, and Ctrl-C reaches
+//! each of them: once, and they finish their tick and save; twice, and they stop.
+
+pub(crate) mod arms;
+pub(crate) mod estimate;
+pub(crate) mod jobs;
+pub(crate) mod manifest;
+pub(crate) mod over;
+mod progress;
+pub(crate) mod seeds;
+
+use crate::supervise::display::Display;
+use crate::supervise::prepare::{Existing, Resolved, resolve, resolve_run};
+use crate::supervise::{Ended, Signals, supervise};
+use anyhow::{Context, Result};
+use estimate::{Pace, most_steps};
+use manifest::run_dir;
+use progress::Progress;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tokio::task::{JoinSet, LocalSet};
+use trestle_learner::record::RunResult;
+use trestle_proto::config::{self, Config};
+
+/// Environment steps of a probe beyond its warm-up.
+const PROBE_STEPS: u64 = 8_000;
+
+/// One run of a sweep.
+#[derive(Clone, Debug)]
+pub(crate) struct Job {
+    /// Number of its arm.
+    pub(crate) arm: usize,
+    /// Its seed.
+    pub(crate) seed: u64,
+    /// Its directory.
+    pub(crate) dir: PathBuf,
+    /// Its configuration as typed.
+    pub(crate) config: Config,
+}
+
+/// What became of a run.
+#[derive(Debug)]
+pub(crate) enum Outcome {
+    /// It has run its whole length, now or before.
+    Complete(Box<RunResult>),
+    /// It was interrupted, or not begun.
+    Unfinished,
+    /// It failed.
+    Failed(String),
+}
+
+/// A sweep that is ready to go.
+#[derive(Debug)]
+pub(crate) struct Sweep {
+    /// Names of the arms.
+    pub(crate) arms: Vec<String>,
+    /// All runs, arm by arm.
+    pub(crate) jobs: Vec<Job>,
+    /// Its directory.
+    pub(crate) out: PathBuf,
+    /// Runs at once.
+    pub(crate) at_once: usize,
+    /// Print the summary only.
+    pub(crate) quiet: bool,
+}
+
+/// What a sweep came to.
+#[derive(Debug)]
+pub(crate) struct Swept {
+    /// An outcome for each job.
+    pub(crate) outcomes: Vec<Outcome>,
+    /// Whether it was interrupted.
+    pub(crate) interrupted: bool,
+}
+
+/// The configuration of `arm` and `seed`: `sets` for all arms, then the arm's own, then the seed.
+pub(crate) fn configuration(source: &str, sets: &[String], arm: &arms::Arm, seed: u64) -> Result<Config> {
+    let sets: Vec<String> =
+        sets.iter().chain(&arm.sets).cloned().chain([format!("run.seed={seed}")]).collect();
+    config::load(source, &sets).with_context(|| format!("arm {}", arm.name))
+}
+
+/// The jobs of `arms` and `seeds` in `out`, arm by arm.
+pub(crate) fn jobs(
+    source: &str,
+    sets: &[String],
+    arms: &[arms::Arm],
+    seeds: &[u64],
+    out: &Path,
+) -> Result<Vec<Job>> {
+    let mut jobs = Vec::with_capacity(arms.len() * seeds.len());
+    for (number, arm) in arms.iter().enumerate() {
+        for &seed in seeds {
+            let config = configuration(source, sets, arm, seed)?;
+            jobs.push(Job { arm: number, seed, dir: run_dir(out, &arm.name, seed), config });
+        }
+    }
+    Ok(jobs)
+}
+
+impl Sweep {
+    /// Runs everything that has not yet run its whole length.
+    ///
+    /// # Errors
+    /// What concerns the sweep as a whole; what concerns a run is its outcome.
+    pub(crate) fn run(&self) -> Result<Swept> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        LocalSet::new().block_on(&runtime, self.all())
+    }
+
+    async fn all(&self) -> Result<Swept> {
+        let mut signals = Signals::new()?;
+        let mut outcomes: Vec<Option<Outcome>> = self.jobs.iter().map(finished).collect();
+        for (job, outcome) in self.jobs.iter().zip(&outcomes) {
+            if let Some(Outcome::Failed(error)) = outcome {
+                crate::output::say(&format!("{} seed {}: failed: {error}", self.arms[job.arm], job.seed));
+            }
+        }
+        for (at, outcome) in outcomes.iter().enumerate() {
+            if let Some(Outcome::Failed(error)) = outcome {
+                crate::output::say(&format!("{}: failed: {error}", self.name(at)));
+            }
+        }
+        let mut queue: VecDeque<usize> = by_seed(&self.jobs);
+        queue.retain(|&at| outcomes[at].is_none());
+        let paces = if self.quiet || queue.is_empty() {
+            Vec::new()
+        } else {
+            crate::output::say(&format!(
+                "{} of {} runs are to do, {} at once",
+                queue.len(),
+                self.jobs.len(),
+                self.at_once
+            ));
+            tokio::select! {
+                paces = self.probe(&queue) => paces,
+                () = signals.any() => return Ok(Swept { outcomes: unfinished(outcomes), interrupted: true }),
+            }
+        };
+        let mut progress = Progress::new(self, paces, &queue);
+        progress.announce();
+        let mut running: JoinSet<(usize, f64, Outcome)> = JoinSet::new();
+        let mut interrupted = false;
+        loop {
+            while !interrupted && running.len() < self.at_once {
+                let Some(at) = queue.pop_front() else { break };
+                let display = progress.display(at);
+                let job = self.jobs[at].clone();
+                running.spawn_local(async move {
+                    let start = Instant::now();
+                    let outcome = train(&job, &display).await;
+                    display.finish();
+                    (at, start.elapsed().as_secs_f64(), outcome)
+                });
+            }
+            tokio::select! {
+                done = running.join_next() => match done {
+                    Some(done) => {
+                        let (at, seconds, outcome) = done.context("a run's supervision ended in the middle")?;
+                        progress.ended(at, seconds, &outcome);
+                        outcomes[at] = Some(outcome);
+                    }
+                    None => break,
+                },
+                () = signals.any(), if !interrupted => interrupted = true,
+            }
+        }
+        progress.finish();
+        Ok(Swept { outcomes: unfinished(outcomes), interrupted })
+    }
+
+    /// What job `at` is called where the user sees it.
+    fn name(&self, at: usize) -> String {
+        let job = &self.jobs[at];
+        format!("{} seed {}", self.arms[job.arm], job.seed)
+    }
+
+    /// The pace of each arm that has runs in `queue`, from a short run of it in a directory that goes again. As many
+    /// at once as there will be runs. An arm whose probe fails has no pace: what is wrong will be said of its runs.
+    async fn probe(&self, queue: &VecDeque<usize>) -> Vec<Option<Pace>> {
+        let mut paces = vec![None; self.arms.len()];
+        let mut waiting: VecDeque<usize> = (0..self.arms.len())
+            .filter_map(|arm| queue.iter().copied().find(|&at| self.jobs[at].arm == arm))
+            .collect();
+        let mut running: JoinSet<(usize, Result<f64>)> = JoinSet::new();
+        loop {
+            while running.len() < self.at_once {
+                let Some(at) = waiting.pop_front() else { break };
+                // On the disk that the runs write to.
+                let (job, place) = (self.jobs[at].clone(), ProbeDir(self.out.join(format!(".probe-{at}"))));
+                running.spawn_local(async move { (at, probe(&job, &place).await) });
+            }
+            match running.join_next().await {
+                None => return paces,
+                Some(Ok((at, Ok(rate)))) => {
+                    let job = &self.jobs[at];
+                    paces[job.arm] = Some(Pace::new(most_steps(&job.config), rate));
+                }
+                Some(Ok((at, Err(error)))) => {
+                    tracing::debug!("a probe of {} failed: {error:#}", self.jobs[at].dir.display());
+                }
+                Some(Err(error)) => tracing::debug!("a probe's supervision ended in the middle: {error}"),
+            }
+        }
+    }
+}
+
+/// The directory of a probe, which goes with it, also where the sweep is interrupted meanwhile.
+struct ProbeDir(PathBuf);
+
+impl Drop for ProbeDir {
+    fn drop(&mut self) {
+        if self.0.exists()
+            && let Err(error) = std::fs::remove_dir_all(&self.0)
+        {
+            tracing::warn!("cannot remove {}: {error}", self.0.display());
+        }
+    }
+}
+
+/// Numbers of all jobs, the first seeds of all arms before the later ones: what an interrupted sweep has is then as
+/// even as it can be.
+fn by_seed(jobs: &[Job]) -> VecDeque<usize> {
+    let mut place = std::collections::BTreeMap::new();
+    let mut order: Vec<(usize, usize)> = Vec::new();
+    for (at, job) in jobs.iter().enumerate() {
+        let nth = place.entry(job.arm).or_insert(0);
+        order.push((*nth, at));
+        *nth += 1;
+    }
+    order.sort_unstable();
+    order.into_iter().map(|(_, at)| at).collect()
+}
+
+fn unfinished(outcomes: Vec<Option<Outcome>>) -> Vec<Outcome> {
+    outcomes.into_iter().map(|outcome| outcome.unwrap_or(Outcome::Unfinished)).collect()
+}
+
+/// The outcome of a job that needs nothing more: one that has run its whole length, or whose directory cannot be used.
+fn finished(job: &Job) -> Option<Outcome> {
+    if !job.dir.exists() || is_unborn(&job.dir) {
+        return None;
+    }
+    match existing(job) {
+        Ok(resolved) => resolved.complete(&job.dir).map(|result| Outcome::Complete(Box::new(result))),
+        Err(error) => Some(Outcome::Failed(format!("{error:#}"))),
+    }
+}
+
+/// Whether `dir` holds no more than what a start leaves that was killed before the run had a plan.
+fn is_unborn(dir: &Path) -> bool {
+    const FIRST: [&str; 6] =
+        ["config.toml", "command.txt", "build.json", "demonstration.csv", "demonstrations", "logs"];
+    let known = |name: &std::ffi::OsStr| FIRST.iter().any(|first| name == *first);
+    std::fs::read_dir(dir)
+        .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| known(&e.file_name()))))
+}
+
+/// The configuration of a run that is there already, which must be what it would be now.
+fn existing(job: &Job) -> Result<Resolved> {
+    let mut typed = job.config.clone();
+    trestle_actor::env::resolve(&mut typed.env, typed.run.seed)?;
+    resolve_run(&job.dir, &typed)
+}
+
+async fn train(job: &Job, display: &Display) -> Outcome {
+    match attempt(job, display).await {
+        Ok(Ended::Complete(result)) => Outcome::Complete(Box::new(result)),
+        Ok(Ended::Interrupted(_)) => Outcome::Unfinished,
+        Err(error) => Outcome::Failed(format!("{error:#}")),
+    }
+}
+
+/// Trains a run to its end: from its newest checkpoint, or anew where there is none.
+async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
+    let mut signals = Signals::new()?;
+    if is_unborn(&job.dir) {
+        std::fs::remove_dir_all(&job.dir).with_context(|| format!("cannot remove {}", job.dir.display()))?;
+    }
+    let (resolved, way) = if job.dir.exists() {
+        let resolved = existing(job)?;
+        match resolved.has_checkpoint(&job.dir)? {
+            true => (resolved, Existing::Resume),
+            false => (resolve(job.config.clone())?, Existing::Overwrite),
+        }
+    } else {
+        (resolve(job.config.clone())?, Existing::Keep)
+    };
+    let mut prepared = resolved.prepare(&job.dir, way)?;
+    supervise(&mut prepared, &mut signals, display).await
+}
+
+/// Environment steps a second of a short run like `job`'s in `dir`.
+async fn probe(job: &Job, place: &ProbeDir) -> Result<f64> {
+    let mut config = job.config.clone();
+    let steps = config.learner.warmup + PROBE_STEPS;
+    config.run.env_steps = Some(config.run.env_steps.map_or(steps, |most| most.min(steps)));
+    let mut signals = Signals::new()?;
+    let mut prepared = resolve(config)?.prepare(&place.0, Existing::Overwrite)?;
+    match supervise(&mut prepared, &mut signals, &Display::quiet()).await? {
+        Ended::Complete(result) => Ok(result.env_steps as f64 / result.wall_s.max(1e-3)),
+        Ended::Interrupted(_) => anyhow::bail!("interrupted"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_first_seeds_of_all_arms_come_first() {
+        let arms = ["dqn", "diiqn"].map(arms::Arm::plain);
+        let jobs = jobs("maze-small", &[], &arms, &[7, 3], Path::new("out")).unwrap();
+        let order: Vec<_> =
+            by_seed(&jobs).into_iter().map(|at| (jobs[at].dir.clone(), jobs[at].seed)).collect();
+        let expected = [("dqn", 7), ("diiqn", 7), ("dqn", 3), ("diiqn", 3)];
+        let expected =
+            expected.map(|(arm, seed)| (Path::new("out").join(arm).join(format!("seed-{seed}")), seed));
+        assert_eq!(order, expected);
+    }
+
+    #[test]
+    fn only_the_beginning_of_a_run_is_begun_anew() {
+        let dir = tempfile::tempdir().unwrap();
+        let write = |name: &str| std::fs::write(dir.path().join(name), "").unwrap();
+        assert!(is_unborn(dir.path()));
+        write("config.toml");
+        assert!(is_unborn(dir.path()));
+        write("notes.txt");
+        assert!(!is_unborn(dir.path()) && !is_unborn(&dir.path().join("absent")));
+    }
+
+    #[test]
+    fn an_arms_settings_come_after_those_of_all() {
+        let arm: arms::Arm = "x:learner.lr=0.5".parse().unwrap();
+        let config = configuration("maze-small", &["learner.lr=0.1".into()], &arm, 4).unwrap();
+        assert_eq!((config.learner.lr, config.run.seed), (0.5, 4));
+        let wrong: arms::Arm = "x:learner.rate=0.5".parse().unwrap();
+        let error = format!("{:#}", configuration("maze-small", &[], &wrong, 4).unwrap_err());
+        assert!(error.contains("arm x") && error.contains("learner.rate"), "{error}");
+    }
+}
