@@ -11,8 +11,8 @@ struct Line([f32; 16]);
 
 /// A slice of `f32` with memory of its own that starts at a cache line; zeros at first.
 ///
-/// The kernels accept any slice, but an AVX-512 access that is not aligned touches two cache lines: scratch
-/// memory, and parameters that single rows go through, are read up to a quarter faster from here.
+/// The kernels accept any slice, but an AVX-512 access that is not aligned touches two cache lines. So scratch memory, and
+/// parameters that single rows go through, are kept here.
 #[derive(Clone, Debug)]
 pub struct AlignedBuffer {
     lines: Vec<Line>,
