@@ -28,8 +28,9 @@ use std::cmp::Ordering;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
 /// States and links that a search looks at in each direction, at most. Beyond it bridges may be missed, or longer
-/// than they could be; those without cross-referencing never are.
-pub const MAX_LOOKS: usize = 1 << 15;
+/// than they could be; those without cross-referencing never are. Few searches begin, and most of them look at little: the
+/// limit is there so that even a batch of the most transitions is answered before its deadline.
+pub const MAX_LOOKS: usize = 1 << 18;
 /// More steps than any path has.
 pub(super) const NEVER: u32 = u32::MAX;
 /// Goals that each state is compared with, at most. Where more of them are near, they are looked up in the index instead,
