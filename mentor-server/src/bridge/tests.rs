@@ -154,7 +154,8 @@ fn is_real(history: &History, j: usize, bridge: &Bridge<'_>, cross_reference: bo
     })
 }
 
-/// After every transition, each infeasible mentor transition's bridge is the best that has ever been in the history.
+/// After every transition, each infeasible mentor transition's bridge is the best that has ever been in the history, to
+/// the last field: a run with this search is a run with Algorithm 1.
 fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let demo = world.demo();
     let order = demo.order();
@@ -164,7 +165,8 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let path = Path { rule, order: &order, similarity: &similarity };
     let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
     let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
-    let mut ever: Vec<Option<Quality>> = vec![None; order.n_transitions()];
+    // Of each mentor transition the best bridge ever: action, s', whether that is terminal.
+    let mut ever: Vec<Option<(Quality, u32, Vec<f32>, bool)>> = vec![None; order.n_transitions()];
     let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
     let mut fresh = [true; 3];
     // How often each actor has moved on: its s is the s' before, jitter and all.
@@ -201,14 +203,18 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             table.set_estimate(0, &Estimate { action: 0, e_kl: 0.0, reward: 0.0 });
         }
         for j in (0..order.n_transitions()).filter(|&j| table.errors()[j] >= rule.e_infeas) {
-            if let Some(now) = oracle::best(&bench.history, j, cross_reference, &path)
-                && ever[j].is_none_or(|best| now.beats(&best))
+            if let Some((now, first)) = oracle::best(&bench.history, j, cross_reference, &path)
+                && ever[j].as_ref().is_none_or(|(best, ..)| now.beats(best))
             {
-                ever[j] = Some(now);
+                let step = bench.history.get(first);
+                let to = bench.history.states.raw(step.to).to_vec();
+                ever[j] = Some((now, step.action, to, step.terminated()));
             }
-            let stored =
-                table.bridge(j).map(|b| Quality { length: b.length, end_kl: b.end_kl, reward: b.reward });
-            prop_assert_eq!(stored, ever[j], "mentor transition {} after {} moves", j, i + 1);
+            let stored = table.bridge(j).map(|b| {
+                let quality = Quality { length: b.length, end_kl: b.end_kl, reward: b.reward };
+                (quality, b.action, b.next_obs.to_vec(), b.terminated)
+            });
+            prop_assert_eq!(&stored, &ever[j], "mentor transition {} after {} moves", j, i + 1);
         }
         for j in (0..order.n_transitions()).filter(|&j| table.bridge(j) != before.bridge(j)) {
             let real =
