@@ -154,6 +154,9 @@ fn is_real(history: &History, j: usize, bridge: &Bridge<'_>, cross_reference: bo
     })
 }
 
+/// The best bridge so far: what decides, action, s', whether that is terminal.
+type Ever = (Quality, u32, Vec<f32>, bool);
+
 /// After every transition, each infeasible mentor transition's bridge is the best that has ever been in the history, to
 /// the last field: a run with this search is a run with Algorithm 1.
 fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
@@ -165,8 +168,8 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let path = Path { rule, order: &order, similarity: &similarity };
     let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
     let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
-    // Of each mentor transition the best bridge ever: action, s', whether that is terminal.
-    let mut ever: Vec<Option<(Quality, u32, Vec<f32>, bool)>> = vec![None; order.n_transitions()];
+    // Of each mentor transition.
+    let mut ever: Vec<Option<Ever>> = vec![None; order.n_transitions()];
     let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
     let mut fresh = [true; 3];
     // How often each actor has moved on: its s is the s' before, jitter and all.
