@@ -72,7 +72,7 @@ fn ticks(times: u64) -> Result<()> {
     let states = env::plan_states(&config.env, &config.mentor.actions)?;
     demonstration.push_trajectory(&states.concat(), true)?;
     let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
-    let plan = RunPlan { run: 1, config, spec, mentors, resume_tick: None, restarts: 0 };
+    let plan = RunPlan { run: 1, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0 };
 
     let mut worker = Worker::new(&plan, 0)?;
     let mut mentor = mentor_of(&plan, &demonstration)?;
@@ -82,7 +82,7 @@ fn ticks(times: u64) -> Result<()> {
         let env_steps = agent.counters().env_steps;
         let amount = plan.config.run.rollout;
         let tick = Tick { run: 1, tick: number, env_steps, kind: COLLECT, amount, ..Tick::default() };
-        worker.collect(agent.weights(), &tick, &mut batch)?;
+        worker.collect(agent.acting(), &tick, &mut batch)?;
         mentor.observe(env_steps, 0, &batch, &mut observed)?;
         agent.ingest(&batch, Some(&observed))?;
         agent.train()?;

@@ -41,8 +41,8 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let lag = plan.config.run.lag == 1;
     let mut batches = vec![Batch::default(); workers.len()];
     let mut observed = Observed::default();
-    // The weights that the actors act with: the newest, or with a lag those of one tick earlier.
-    let mut acting = session.agent().weights().to_vec();
+    // What the actors act with, weights and guide: the newest, or with a lag those of one tick earlier.
+    let mut acting = session.agent().acting().to_vec();
     let mut tick = 0;
     while !session.done() && !stop.load(Ordering::Relaxed) {
         tick += 1;
@@ -51,7 +51,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
             worker.collect(&acting, &collect, batch)?;
         }
         if lag {
-            acting.copy_from_slice(session.agent().weights());
+            acting.copy_from_slice(session.agent().acting());
         }
         // Once the run has reached its limits, what the agent drops still counts for the mentor.
         let mut first_index = session.agent().counters().env_steps;
@@ -68,13 +68,13 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
         }
         session.train(tick)?;
         if !lag {
-            acting.copy_from_slice(session.agent().weights());
+            acting.copy_from_slice(session.agent().acting());
         }
         if session.done() {
             session.request_final_evaluation();
         }
         if let Some(evaluate) = session.evaluate() {
-            let evaluation = workers[0].evaluate(session.agent().weights(), &evaluate)?;
+            let evaluation = workers[0].evaluate(session.agent().acting(), &evaluate)?;
             session.evaluated(&evaluation)?;
         }
     }

@@ -116,8 +116,19 @@ pub(crate) fn worker() -> Worker {
     config.env.layout = Some("S.\n.G\n".into());
     let env = trestle_actor::env::build(&config.env).unwrap();
     let spec = env.spec().clone();
-    Worker::new(&RunPlan { run: 7, config, spec, mentors: Vec::new(), resume_tick: None, restarts: 0 }, 0)
-        .unwrap()
+    Worker::new(
+        &RunPlan {
+            run: 7,
+            config,
+            spec,
+            mentors: Vec::new(),
+            waypoints: None,
+            resume_tick: None,
+            restarts: 0,
+        },
+        0,
+    )
+    .unwrap()
 }
 
 /// A map's text.

@@ -56,14 +56,24 @@ fn one_actor_with_lag() {
 }
 
 #[test]
+fn guided_exploration() {
+    let guided = ["--set", "exploration.guide_start=0.8", "--actors", "2"];
+    let newest = agree(&guided);
+    assert_eq!(newest.result.algo, "ha-diiqn+guided");
+    assert_ne!(newest.weights_sha256, Place::new().train("none", &with(&guided[2..])).weights_sha256);
+    let older = agree(&[&guided[..], &["--set", "run.lag=1"]].concat());
+    assert_ne!(newest.weights_sha256, older.weights_sha256);
+}
+
+#[test]
 fn three_actors_with_lag() {
     agree(&["--actors", "3", "--set", "run.lag=1", "--set", "run.rollout=7"]);
 }
 
 #[test]
-fn plain_learning_and_the_paper_variants() {
+fn plain_learning_the_paper_variants_and_ours() {
     let place = Place::new();
-    let variants: [&[&str]; 4] = [
+    let variants: [&[&str]; 7] = [
         &["--algo", "dqn"],
         &["--algo", "diiqn", "--actors", "2"],
         &["--set", "mentor.selection=confidence", "--set", "learner.target=hard"],
@@ -75,6 +85,9 @@ fn plain_learning_and_the_paper_variants() {
             "--set",
             "learner.backend=candle",
         ],
+        &["--set", "mentor.combine=beside", "--set", "mentor.one_sided=true", "--actors", "2"],
+        &["--set", "mentor.selection=always", "--set", "mentor.draw=uniform", "--set", "run.lag=1"],
+        &["--algo", "dqn", "--set", "shaping.potential=2"],
     ];
     for (i, variant) in variants.iter().enumerate() {
         let args = [&["maze-small", "--env-steps", "4000", "--seed", "2"], *variant].concat();

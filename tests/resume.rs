@@ -74,6 +74,26 @@ fn two_actors_with_lag() {
 }
 
 #[test]
+fn a_guide_with_lag() {
+    survives(&["--actors", "2", "--set", "run.lag=1", "--set", "exploration.guide_end=0.5"]);
+}
+
+/// Shaping needs a demonstration, and no mentor-server.
+#[test]
+fn shaped_rewards() {
+    let place = Place::new();
+    let args = [&ARGS[..], &["--algo", "dqn", "--set", "shaping.potential=2"]].concat();
+    let undisturbed = place.train("undisturbed", &args);
+    assert_eq!(undisturbed.result.algo, "dqn+shaped");
+    let dir = place.run("signal");
+    let mut run = start(&place.training("signal", &args));
+    run.wait_for("a checkpoint", || dir.last().exists());
+    run.signal(Signal::SIGINT);
+    run.finish().code(130);
+    assert_eq!(resumed(&place, "signal", &args), undisturbed);
+}
+
+#[test]
 fn other_settings_are_refused_and_more_episodes_are_not() {
     let place = Place::new();
     let base = ["maze-small", "--set", "checkpoint.every_env_steps=1000", "--set", "learner.lr=0.001"];

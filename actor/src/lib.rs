@@ -6,6 +6,7 @@
 //! * [`run`]: the loop of an actor's process.
 
 pub mod env;
+pub mod guide;
 pub mod policy;
 pub mod run;
 pub mod worker;

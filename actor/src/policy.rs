@@ -52,12 +52,40 @@ impl Policy {
     /// # Panics
     /// As [`Policy::greedy`].
     pub fn act(&mut self, params: &[f32], obs: &[f32], epsilon: f64, rng: &mut Stream) -> u32 {
-        let u = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        if u < epsilon {
-            return ((u64::from(rng.next_u32()) * self.layout.output() as u64) >> 32) as u32;
-        }
-        self.greedy(params, obs)
+        self.act_guided(params, obs, epsilon, 0.0, rng, || None)
     }
+
+    /// As [`Policy::act`], where an exploring step takes `guided`'s action with probability `guide` (0 to 1), if there
+    /// is one. Between u and w it draws, where `guide` is above 0, a further word, a uniform number as u is; w is not
+    /// drawn where the guide was followed.
+    ///
+    /// # Panics
+    /// As [`Policy::greedy`].
+    pub fn act_guided(
+        &mut self,
+        params: &[f32],
+        obs: &[f32],
+        epsilon: f64,
+        guide: f64,
+        rng: &mut Stream,
+        guided: impl FnOnce() -> Option<u32>,
+    ) -> u32 {
+        if unit(rng) >= epsilon {
+            return self.greedy(params, obs);
+        }
+        if guide > 0.0
+            && unit(rng) < guide
+            && let Some(action) = guided()
+        {
+            return action;
+        }
+        ((u64::from(rng.next_u32()) * self.layout.output() as u64) >> 32) as u32
+    }
+}
+
+/// Uniform in [0, 1): the upper 53 bits of a word.
+fn unit(rng: &mut Stream) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
 #[cfg(test)]

@@ -44,7 +44,7 @@ pub fn run(
 ) -> Result<Left, RunError> {
     link.hello(stop)?;
     tracing::info!("ready");
-    let mut params = vec![0.0; worker.n_params()];
+    let mut acting = vec![0.0; worker.n_acting()];
     let mut batch = Batch::with_capacity(rollout, worker.obs_dim());
     while !stop() {
         pulse::step();
@@ -52,13 +52,13 @@ pub fn run(
         logging::set_tick(tick.tick);
         match tick.kind {
             COLLECT => {
-                link.weights(tick.weights_version, &mut params)?;
-                worker.collect(&params, &tick, &mut batch)?;
+                link.weights(tick.weights_version, &mut acting)?;
+                worker.collect(&acting, &tick, &mut batch)?;
                 link.send_batch(&batch)?;
             }
             EVALUATE if worker.index() == 0 => {
-                link.weights(tick.weights_version, &mut params)?;
-                let evaluation = worker.evaluate(&params, &tick)?;
+                link.weights(tick.weights_version, &mut acting)?;
+                let evaluation = worker.evaluate(&acting, &tick)?;
                 let payload = codec::encode(EVALUATION_KIND, &evaluation)?;
                 link.send_reply(&Reply { header: header(worker, &tick, EVALUATION), payload })?;
             }

@@ -1,6 +1,7 @@
 //! One actor without any transport: it collects batches, plays greedy evaluations, and can be saved and restored.
 
 use crate::env::{EnvError, Environment, build};
+use crate::guide::Guide;
 use crate::policy::Policy;
 use serde::{Deserialize, Serialize};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
@@ -12,6 +13,7 @@ use trestle_proto::pulse;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
+use trestle_proto::similarity::metric::MetricError;
 use trestle_proto::space::reported;
 use trestle_proto::tick::Tick;
 use trestle_qnet::{PlanError, network_of};
@@ -31,6 +33,9 @@ pub enum ActorError {
     /// The network and its input.
     #[error(transparent)]
     Network(#[from] PlanError),
+    /// The state distance of guided exploration.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
     /// The plan's spaces are not those of the environment that its configuration describes.
     #[error("the plan's spaces of {planned} are not those of the environment {built} of its configuration")]
     Spec {
@@ -48,7 +53,9 @@ pub enum ActorError {
         last: u32,
     },
     /// Weights of another network.
-    #[error("weights of {found} parameters; this run's network has {expected}")]
+    #[error(
+        "weights of {found} parameters and guiding actions; this run's network and mentor have {expected}"
+    )]
     Params {
         /// Their number.
         found: usize,
@@ -86,6 +93,9 @@ pub struct Worker {
     seed: u64,
     exploration: config::Exploration,
     policy: Policy,
+    guide: Option<Guide>,
+    /// Entries of the guide's table.
+    guide_len: usize,
     env: Box<dyn Environment>,
     /// For greedy episodes, so that they leave `env` alone.
     evaluation_env: Box<dyn Environment>,
@@ -141,6 +151,8 @@ impl Worker {
             seed: run.seed,
             exploration: plan.config.exploration.clone(),
             policy: Policy::new(layout, encoding),
+            guide: Guide::new(plan)?,
+            guide_len: plan.guide_len(),
             env,
             evaluation_env: build(&plan.config.env)?,
             explore: stream(run.seed, Purpose::Explore, u64::from(index)),
@@ -163,21 +175,26 @@ impl Worker {
         self.obs.len()
     }
 
-    /// Number of parameters of the network that it acts with.
-    pub fn n_params(&self) -> usize {
-        self.policy.n_params()
+    /// Numbers that it acts with: the parameters of the network, and the guide's table behind them.
+    pub fn n_acting(&self) -> usize {
+        self.policy.n_params() + self.guide_len
     }
 
-    /// Takes `tick.amount` steps with the flat parameters `params` and writes them to `batch`, header included; an
-    /// episode that ends is followed by the next one. Allocates only while `batch` grows.
+    /// Takes `tick.amount` steps with `acting`, the flat parameters and the guide's table, and writes them to `batch`,
+    /// header included; an episode that ends is followed by the next one. Allocates only while `batch` grows.
     ///
     /// Step s of actor i explores with the ε of environment step `tick.env_steps + i * tick.amount + s`: the place
     /// that the step has among those of all actors.
     ///
     /// # Errors
     /// Parameters of another network, or an amount out of range; nothing has happened then.
-    pub fn collect(&mut self, params: &[f32], tick: &Tick, batch: &mut Batch) -> Result<(), ActorError> {
-        self.check(params, tick)?;
+    pub fn collect(&mut self, acting: &[f32], tick: &Tick, batch: &mut Batch) -> Result<(), ActorError> {
+        let expected = self.n_acting();
+        if acting.len() != expected {
+            return Err(ActorError::Params { found: acting.len(), expected });
+        }
+        check_amount(tick)?;
+        let (params, actions) = acting.split_at(self.policy.n_params());
         batch.prepare(BatchHeader {
             run: tick.run,
             tick: tick.tick,
@@ -190,8 +207,16 @@ impl Worker {
         });
         let before = tick.env_steps.saturating_add(u64::from(self.index) * u64::from(tick.amount));
         for s in 0..tick.amount {
-            let epsilon = schedule::epsilon(&self.exploration, before.saturating_add(u64::from(s)));
-            let action = self.policy.act(params, &self.obs, epsilon, &mut self.explore);
+            let at = before.saturating_add(u64::from(s));
+            let epsilon = schedule::epsilon(&self.exploration, at);
+            let (obs, rng) = (&self.obs, &mut self.explore);
+            let action = match &mut self.guide {
+                None => self.policy.act(params, obs, epsilon, rng),
+                Some(guide) => {
+                    let share = schedule::guide(&self.exploration, at);
+                    self.policy.act_guided(params, obs, epsilon, share, rng, || guide.action(obs, actions))
+                }
+            };
             let step = self.env.step(action, &mut self.next_obs)?;
             pulse::step();
             let flags = if self.first { FIRST } else { 0 }
@@ -210,7 +235,8 @@ impl Worker {
         Ok(())
     }
 
-    /// Plays `tick.amount` greedy episodes with the flat parameters `params`, in an environment of their own. Their
+    /// Plays `tick.amount` greedy episodes with the flat parameters that `acting` begins with, in an environment of
+    /// their own. Their
     /// resets draw from a stream that depends on the run's seed and `tick.evaluation` alone; the collecting side of
     /// the actor is untouched.
     ///
@@ -218,8 +244,10 @@ impl Worker {
     ///
     /// # Errors
     /// As [`Worker::collect`].
-    pub fn evaluate(&mut self, params: &[f32], tick: &Tick) -> Result<Evaluation, ActorError> {
-        self.check(params, tick)?;
+    pub fn evaluate(&mut self, acting: &[f32], tick: &Tick) -> Result<Evaluation, ActorError> {
+        let expected = self.policy.n_params();
+        let params = acting.get(..expected).ok_or(ActorError::Params { found: acting.len(), expected })?;
+        check_amount(tick)?;
         let mut rng = stream(self.seed, Purpose::Evaluation, tick.evaluation);
         let mut room = MAX_PATH_FEATURES;
         let mut episodes = Vec::with_capacity(tick.amount as usize);
@@ -267,18 +295,6 @@ impl Worker {
         Ok(EvaluationEpisode { total_reward, length, success: success == Some(true), path })
     }
 
-    /// Refuses what would be out of bounds.
-    fn check(&self, params: &[f32], tick: &Tick) -> Result<(), ActorError> {
-        let expected = self.policy.n_params();
-        if params.len() != expected {
-            return Err(ActorError::Params { found: params.len(), expected });
-        }
-        if !(1..=MAX_ROLLOUT).contains(&tick.amount) {
-            return Err(ActorError::Amount { tick: tick.tick, amount: tick.amount });
-        }
-        Ok(())
-    }
-
     /// All that changes while the actor collects: the environment in the middle of its episode, both random streams,
     /// the count of transitions. A codec frame that only [`Worker::restore`] reads.
     ///
@@ -321,6 +337,14 @@ impl Worker {
         self.environment = state.environment;
         Ok(())
     }
+}
+
+/// Refuses too much work, or none.
+fn check_amount(tick: &Tick) -> Result<(), ActorError> {
+    if !(1..=MAX_ROLLOUT).contains(&tick.amount) {
+        return Err(ActorError::Amount { tick: tick.tick, amount: tick.amount });
+    }
+    Ok(())
 }
 
 #[cfg(test)]

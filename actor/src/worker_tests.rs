@@ -2,14 +2,16 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use trestle_proto::plan::MentorPart;
 use trestle_proto::tick::{COLLECT, EVALUATE};
+use trestle_proto::waypoints::Waypoints;
 
 fn plan(overrides: &[&str]) -> RunPlan {
     let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
     let mut config = config::load("maze-small", &overrides).unwrap();
     crate::env::resolve(&mut config.env, config.run.seed).unwrap();
     let spec = build(&config.env).unwrap().spec().clone();
-    RunPlan { run: 77, config, spec, mentors: Vec::new(), resume_tick: None, restarts: 0 }
+    RunPlan { run: 77, config, spec, mentors: Vec::new(), waypoints: None, resume_tick: None, restarts: 0 }
 }
 
 /// A plan on the map `layout` with actions W and E, a network without influence but its output's bias.
@@ -53,12 +55,56 @@ fn batches(worker: &mut Worker, params: &[f32], first: u64, n: u64, amount: u32)
     (first..first + n).map(&mut collect).collect()
 }
 
+/// The corridor "S....G", whose mentor went from its start to its end; of every exploring step a share is guided.
+fn guided_corridor(share: f64) -> RunPlan {
+    let share = ["start", "end"].map(|at| format!("exploration.guide_{at}={share}"));
+    let sets = ["exploration.epsilon_end=1", "mentor.e_th=0.1", &share[0], &share[1]];
+    let mut plan = corridor("S....G\n", &sets);
+    plan.mentors = vec![MentorPart { name: "line".into(), transitions: 5 }];
+    let states = (0..6).flat_map(|x| [x as f32, 0.0]).collect();
+    let (transition_of, progress) = (vec![0, 1, 2, 3, 4, trestle_proto::NONE], vec![0.0; 6]);
+    plan.waypoints = Some(Waypoints { states, transition_of, progress });
+    plan
+}
+
+#[test]
+fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
+    let plan = guided_corridor(1.0);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    // East is known everywhere but in the fourth cell, where west is, so that it never gets further.
+    let acting = [always(&plan, 0), vec![1.0, 1.0, 1.0, 0.0, -1.0]].concat();
+    assert_eq!(worker.n_acting(), acting.len());
+    let batch = batches(&mut worker, &acting, 1, 1, 7).remove(0);
+    assert_eq!(batch.actions(), [1, 1, 1, 0, 1, 0, 1]);
+    // Without the table nothing is done, and nothing is known of a table without entries.
+    assert!(worker.collect(&always(&plan, 0), &tick(2, COLLECT, 7), &mut Batch::default()).is_err());
+    let unknown = [always(&plan, 0), vec![-1.0; 5]].concat();
+    let explored = batches(&mut worker, &unknown, 2, 30, 7);
+    let actions: Vec<u32> = explored.iter().flat_map(|batch| batch.actions().to_vec()).collect();
+    let east = actions.iter().sum::<u32>();
+    assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
+    // Evaluations need the parameters alone.
+    assert!(worker.evaluate(&always(&plan, 1), &tick(3, EVALUATE, 1)).unwrap().episodes[0].success);
+}
+
+#[test]
+fn a_share_of_the_exploring_steps_is_guided() {
+    let plan = guided_corridor(0.5);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let acting = [always(&plan, 0), vec![1.0; 5]].concat();
+    let actions: Vec<u32> =
+        batches(&mut worker, &acting, 1, 100, 10).iter().flat_map(|batch| batch.actions().to_vec()).collect();
+    // Half guided, of the others half by chance.
+    let east = actions.iter().sum::<u32>();
+    assert!((690..810).contains(&east), "{east} of 1000");
+}
+
 #[test]
 fn batches_are_complete_and_continuous() {
     let plan = plan(&["run.actors=2", "env.step_limit=50"]);
     let params = random_params(&plan);
     let mut worker = Worker::new(&plan, 1).unwrap();
-    assert_eq!((worker.index(), worker.obs_dim(), worker.n_params()), (1, 2, params.len()));
+    assert_eq!((worker.index(), worker.obs_dim(), worker.n_acting()), (1, 2, params.len()));
     let (mut expected, mut obs, mut ends) = (FIRST, vec![0.0, 0.0], 0);
     for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
         let header = BatchHeader {
@@ -229,8 +275,11 @@ fn what_cannot_be_done_is_refused() {
     let before = worker.snapshot().unwrap();
     let mut batch = Batch::default();
     let message = worker.collect(&params[1..], &tick(1, COLLECT, 8), &mut batch).unwrap_err().to_string();
-    let expected =
-        format!("weights of {} parameters; this run's network has {}", params.len() - 1, params.len());
+    let expected = format!(
+        "weights of {} parameters and guiding actions; this run's network and mentor have {}",
+        params.len() - 1,
+        params.len()
+    );
     assert_eq!(message, expected);
     for amount in [0, MAX_ROLLOUT + 1] {
         assert!(matches!(

@@ -85,6 +85,7 @@ impl Learner {
             config: config::load("maze30", &sets)?,
             spec: World::new(2, MENTOR, 0.0).spec(),
             mentors: mentors.into_iter().collect(),
+            waypoints: None,
             resume_tick: None,
             restarts: 0,
         };

@@ -19,13 +19,13 @@ use trestle_mentor_server::bridge::graph::Graph;
 use trestle_mentor_server::bridge::search::{Arrival, Search};
 use trestle_mentor_server::bridge::store::store;
 use trestle_mentor_server::bridge::{BridgeRule, Path, oracle, straight};
-use trestle_mentor_server::demonstration::{Demonstration, Order};
+use trestle_mentor_server::demonstration::{Demonstration, Order, transitions};
 use trestle_mentor_server::history::History;
 use trestle_mentor_server::inference::{Inference, Observation};
-use trestle_mentor_server::metric::{Metric, kl};
-use trestle_mentor_server::similarity::{Similarity, transitions};
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::config::MetricKind;
+use trestle_proto::similarity::Similarity;
+use trestle_proto::similarity::metric::{Metric, kl};
 
 const DIMS: [usize; 2] = [2, 4];
 /// Sizes for figures, and for a quick look.

@@ -83,7 +83,7 @@ fn overrides(args: &Train) -> Vec<String> {
 /// `runs/<config>-<algo>-seed<N>`
 fn default_out(name: &str, config: &Config) -> PathBuf {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
-    Path::new("runs").join(format!("{stem}-{}-seed{}", config.run.algo.name(), config.run.seed))
+    Path::new("runs").join(format!("{stem}-{}-seed{}", config.arm(), config.run.seed))
 }
 
 /// The result in a few lines on standard output, and what to type next.

@@ -17,11 +17,11 @@ use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::demonstration::Demonstration;
-use trestle_mentor_server::metric::Metric;
 use trestle_mentor_server::summary::{Summary, summarise};
 use trestle_proto::config::{self, Config, Demos, Mode, PLAN, PhysicsBackend, Threshold};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::{RunDir, write_atomically};
+use trestle_proto::similarity::metric::Metric;
 use trestle_proto::space::EnvSpec;
 use trestle_proto::transport::iceoryx::Domain;
 use trestle_proto::transport::iceoryx::services::Sizes;
@@ -151,7 +151,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
     let env = trestle_actor::env::build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
-    let mentors = if config.run.algo.has_mentor() {
+    let mentors = if config.needs_demonstration() {
         let mentors = mentors(&config, &spec)?;
         mentors.resolve_thresholds(&mut config.mentor)?;
         Some(mentors)
@@ -175,7 +175,7 @@ fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
     let mut all = first.clone();
     rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
     let mentor = &config.mentor;
-    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &spec.scale, &all)?;
+    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &spec.scale, all.states())?;
     let summary = summarise(&all, &metric, mentor.n as usize);
     Ok(Mentors { each, all, summary })
 }
@@ -229,11 +229,15 @@ impl Resolved {
             name: name.clone(),
             transitions: demonstration.n_transitions(),
         };
+        // Shaping needs a demonstration, but no mentor-server.
+        let mentors = self.mentors.as_ref().filter(|_| self.config.run.algo.has_mentor());
+        let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
         RunPlan {
             run,
             config: self.config.clone(),
             spec: self.spec.clone(),
-            mentors: self.mentors.iter().flat_map(|mentors| &mentors.each).map(part).collect(),
+            mentors: mentors.into_iter().flat_map(|mentors| &mentors.each).map(part).collect(),
+            waypoints: waypoints.map(|mentors| mentors.all.waypoints()),
             resume_tick,
             restarts: 0,
         }

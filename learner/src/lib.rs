@@ -7,6 +7,7 @@ pub mod record;
 pub mod replay;
 pub mod run;
 pub mod session;
+pub mod shaping;
 
 #[cfg(test)]
 mod testing;

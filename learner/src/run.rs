@@ -147,7 +147,7 @@ impl<L: LearnerLink> Lockstep<'_, L> {
         self.session.start();
         let version = if self.behaviour.is_some() { tick.saturating_sub(lag) } else { tick };
         let weights = self.behaviour.take();
-        let weights = weights.as_deref().unwrap_or_else(|| self.session.agent().weights());
+        let weights = weights.as_deref().unwrap_or_else(|| self.session.agent().acting());
         self.link.send_weights(version, weights)?;
         self.send_collect(tick + 1, version)
     }
@@ -161,14 +161,14 @@ impl<L: LearnerLink> Lockstep<'_, L> {
     /// evaluation that is due, snapshots if a checkpoint is taken, and, unless the run is leaving, the collection.
     fn dispatch(&mut self, tick: u64, saving: bool, leaving: bool) -> Result<(), RunError> {
         let version = self.session.tick();
-        self.link.send_weights(version, self.session.agent().weights())?;
+        self.link.send_weights(version, self.session.agent().acting())?;
         if let Some(evaluate) = self.session.evaluate() {
             self.link.send_tick(&evaluate)?;
         }
         if saving {
             // With a lag the agent learns on before the checkpoint is written.
             let older = version < tick;
-            self.behaviour = older.then(|| self.session.agent().weights().to_vec());
+            self.behaviour = older.then(|| self.session.agent().acting().to_vec());
             self.snapshots.fill(None);
             self.snapshots_of = tick;
             self.link.send_tick(&self.session.snapshot(tick))?;

@@ -92,13 +92,15 @@ struct State {
     evaluations: u64,
     due: Option<Counters>,
     evaluated_at: Counters,
+    /// The guide that the actors act with in the next tick, where it is not the agent's newest.
+    guide: Vec<f32>,
 }
 
 /// A session that goes on from a checkpoint, and what the rest of the run needs from there.
 pub struct Resumed<'a> {
     /// The session after the checkpoint's tick.
     pub session: Session<'a>,
-    /// The weights that the actors act with in the next tick, where they are not the agent's newest.
+    /// Weights and guide that the actors act with in the next tick, where they are not the agent's newest.
     pub behaviour: Option<Vec<f32>>,
 }
 
@@ -155,7 +157,11 @@ impl<'a> Session<'a> {
             since: Instant::now(),
             progress: Box::new(progress),
         };
-        Ok(Resumed { session, behaviour: loaded.behaviour })
+        let behaviour = loaded.behaviour.map(|mut params| {
+            params.extend(&state.guide);
+            params
+        });
+        Ok(Resumed { session, behaviour })
     }
 
     /// All processes have answered: time counts from here.
@@ -306,13 +312,20 @@ impl<'a> Session<'a> {
         every > 0 && steps(number) / every > steps(number - 1) / every
     }
 
-    /// Takes a checkpoint after the last trained tick. `behaviour`: the weights that actors act with in the next tick,
-    /// where they are not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
+    /// Takes a checkpoint after the last trained tick. `behaviour`: weights and guide that actors act with in the next
+    /// tick, where they are not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
     pub fn checkpoint(&mut self, behaviour: Option<&[f32]>, actors: &[Vec<u8>]) -> Result<(), SessionError> {
         let start = Instant::now();
+        let n_params = self.agent.network().layout().n_params();
+        let (behaviour, guide) = behaviour.map(|acting| acting.split_at(n_params)).unzip();
         let (recorder, records) = self.recorder.checkpoint()?;
-        let state =
-            State { recorder, evaluations: self.evaluations, due: self.due, evaluated_at: self.evaluated_at };
+        let state = State {
+            recorder,
+            evaluations: self.evaluations,
+            due: self.due,
+            evaluated_at: self.evaluated_at,
+            guide: guide.unwrap_or_default().to_vec(),
+        };
         let run = codec::encode(KIND, &state)?;
         let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
         self.saver.save(&cut, records)?;
@@ -390,7 +403,7 @@ impl<'a> Session<'a> {
 fn settings(plan: &RunPlan) -> Settings {
     let (run, eval) = (&plan.config.run, &plan.config.eval);
     Settings {
-        algo: run.algo.name().into(),
+        algo: plan.config.arm(),
         seed: run.seed,
         env: plan.spec.name.clone(),
         goal: plan.threshold().map(|threshold| Goal { threshold, tolerance: eval.tolerance }),

@@ -5,6 +5,8 @@ use std::ops::Range;
 use trestle_proto::NONE;
 use trestle_proto::limits::{MAX_MENTOR_TRANSITIONS, MAX_OBS_DIM};
 use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::similarity::Hit;
+use trestle_proto::waypoints::Waypoints;
 
 /// States that cannot be a demonstration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -165,6 +167,17 @@ impl Demonstration {
         out
     }
 
+    /// The states as actors and learner need them beside the mentor-server.
+    pub fn waypoints(&self) -> Waypoints {
+        let order = self.order();
+        let mut progress = Vec::with_capacity(self.n_states());
+        for t in &self.trajectories {
+            let steps = t.states.len() - 1;
+            progress.extend((0..=steps).map(|step| step as f32 / steps as f32));
+        }
+        Waypoints { states: self.states.clone(), transition_of: order.transition_of, progress }
+    }
+
     /// Which states belong to which transitions.
     pub fn order(&self) -> Order {
         let mut order = Order::default();
@@ -226,10 +239,38 @@ impl Order {
     }
 }
 
+/// The transitions that begin in one of `hits`, each with the KL divergence of its first state, in the order of `hits`.
+pub fn transitions<'a>(hits: &'a [Hit], order: &'a Order) -> impl Iterator<Item = (usize, f32)> + 'a {
+    hits.iter().filter_map(|hit| Some((order.transition_of(hit.state as usize)?, hit.kl)))
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use trestle_proto::similarity::Similarity;
+
+    #[test]
+    fn last_states_are_found_but_begin_nothing() {
+        let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
+        demo.push_trajectory(&[0.0, 1.0], true).unwrap();
+        demo.push_trajectory(&[1.0, 0.0], true).unwrap();
+        let index = Similarity::new(demo.states().to_vec(), 1, 0.5);
+        let (mut hits, order) = (Vec::new(), demo.order());
+        index.states(&[0.25], &mut Vec::new(), &mut hits);
+        assert_eq!(hits.iter().map(|h| h.state).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!(transitions(&hits, &order).collect::<Vec<_>>(), [(0, 0.03125), (1, 0.28125)]);
+        index.states(&[2.5], &mut Vec::new(), &mut hits);
+        assert_eq!(hits, []);
+    }
+
+    #[test]
+    fn waypoints_know_their_transition_and_how_far_along_they_are() {
+        let waypoints = two_trajectories().waypoints();
+        assert_eq!(waypoints.states, [0.0, 1.0, 2.0, 5.0, 6.0]);
+        assert_eq!(waypoints.transition_of, [0, 1, NONE, 2, NONE]);
+        assert_eq!(waypoints.progress, [0.0, 0.5, 1.0, 0.0, 1.0]);
+    }
 
     fn two_trajectories() -> Demonstration {
         let mut demo = Demonstration::new(vec!["x".into()]).unwrap();

@@ -14,11 +14,12 @@
 //! node whose box is farther away than that cannot improve anywhere. So the search gets cheaper as errors fall.
 
 use crate::demonstration::Order;
-use crate::metric::kl;
-use crate::similarity::{Hit, transitions};
-use crate::tree::Tree;
+use crate::demonstration::transitions;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::config::MetricKind;
+use trestle_proto::similarity::Hit;
+use trestle_proto::similarity::metric::kl;
+use trestle_proto::similarity::tree::Tree;
 
 /// An observer transition, as inference sees it.
 #[derive(Clone, Copy, Debug)]
@@ -194,9 +195,9 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::demonstration::Demonstration;
-    use crate::similarity::Similarity;
     use crate::testing::{cases, points};
     use proptest::prelude::*;
+    use trestle_proto::similarity::Similarity;
 
     const E_TH: f32 = 0.6;
 

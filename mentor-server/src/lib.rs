@@ -2,20 +2,18 @@
 //!
 //! The way of an observer transition through this crate: [`mentor`] takes it in, [`history`] stores it,
 //! [`inference`] compares it with every mentor transition, [`bridge`] looks for paths that it completes, and
-//! [`similarity`] names the mentor states that its own state resembles. All distances come from [`metric`].
+//! [`trestle_proto::similarity`] names the mentor states that its own state resembles; all distances come from there.
 
 pub mod bridge;
 pub mod demo_file;
 pub mod demonstration;
-pub mod gaussian;
 pub mod history;
 pub mod inference;
 pub mod mentor;
-pub mod metric;
 pub mod run;
-pub mod similarity;
 pub mod states;
 pub mod summary;
 #[cfg(test)]
+// Its properties meet the same point sets as those of the index.
+#[path = "../../proto/src/similarity/testing.rs"]
 mod testing;
-pub mod tree;

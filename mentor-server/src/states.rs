@@ -4,10 +4,10 @@
 //! is s of the next. States are told apart by their bits. A state's number is free for another state once its last
 //! user has left, so numbers mean nothing beyond that, and no result may depend on their order.
 
-use crate::metric::Metric;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 use trestle_proto::NONE;
+use trestle_proto::similarity::metric::Metric;
 
 /// Mixes words into a well-spread one (finaliser of MurmurHash3).
 pub(crate) fn mix(seed: u64, word: u64) -> u64 {

@@ -14,8 +14,8 @@
 //! that waits says nothing of its speed.
 
 use crate::demonstration::Demonstration;
-use crate::metric::{Metric, kl};
 use std::fmt;
+use trestle_proto::similarity::metric::{Metric, kl};
 
 /// Counts and ranges of a demonstration.
 #[derive(Clone, Debug, PartialEq)]

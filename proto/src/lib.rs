@@ -1,6 +1,6 @@
 //! What Trestle's processes agree on, and nothing else: the messages and their layout in shared memory, the
-//! services and their limits, the resolved configuration, the run directory, the framing of files, and the
-//! random streams.
+//! services and their limits, the resolved configuration, the run directory, the framing of files, the
+//! random streams, and the distance of states.
 //!
 //! This crate depends on no other member of the workspace.
 
@@ -19,9 +19,11 @@ pub mod reply;
 pub mod rng;
 pub mod rundir;
 pub mod schedule;
+pub mod similarity;
 pub mod space;
 pub mod tick;
 pub mod transport;
+pub mod waypoints;
 pub mod weights;
 
 /// Marks "none" wherever an index or an action travels as a plain `u32`.

@@ -4,6 +4,7 @@
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind};
 use crate::space::EnvSpec;
+use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
 const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 1 };
@@ -19,6 +20,8 @@ pub struct RunPlan {
     pub spec: EnvSpec,
     /// The demonstrations in the order of their transitions; none without a mentor.
     pub mentors: Vec<MentorPart>,
+    /// The mentor's states, where actors or learner need them ([`Config::needs_waypoints`]).
+    pub waypoints: Option<Waypoints>,
     /// Checkpoint to go on from, as the number of its tick.
     pub resume_tick: Option<u64>,
     /// How many times the run has been started again after the death of one of its processes.
@@ -38,6 +41,12 @@ impl RunPlan {
     /// Transitions of all demonstrations; 0 without a mentor.
     pub fn mentor_len(&self) -> usize {
         self.mentors.iter().map(|part| part.transitions).sum()
+    }
+
+    /// Entries of the table of guiding actions that is published with the weights: one for each mentor transition with
+    /// guided exploration, otherwise none.
+    pub fn guide_len(&self) -> usize {
+        if self.config.guided() { self.mentor_len() } else { 0 }
     }
 
     /// The plan as bytes of a file.

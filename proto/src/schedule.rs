@@ -5,11 +5,20 @@ use crate::config::Exploration;
 /// ε after `env_steps` environment steps of all actors: from `epsilon_start` to `epsilon_end`, linearly over
 /// `epsilon_decay_steps`, constant from then on.
 pub fn epsilon(exploration: &Exploration, env_steps: u64) -> f64 {
-    if env_steps >= exploration.epsilon_decay_steps {
-        return exploration.epsilon_end;
+    linear(exploration.epsilon_start, exploration.epsilon_end, exploration.epsilon_decay_steps, env_steps)
+}
+
+/// The share of exploring steps that are guided after `env_steps` environment steps of all actors: from `guide_start`
+/// to `guide_end`, linearly over `guide_decay_steps`, constant from then on.
+pub fn guide(exploration: &Exploration, env_steps: u64) -> f64 {
+    linear(exploration.guide_start, exploration.guide_end, exploration.guide_decay_steps, env_steps)
+}
+
+fn linear(start: f64, end: f64, decay_steps: u64, env_steps: u64) -> f64 {
+    if env_steps >= decay_steps {
+        return end;
     }
-    let done = env_steps as f64 / exploration.epsilon_decay_steps as f64;
-    exploration.epsilon_start + done * (exploration.epsilon_end - exploration.epsilon_start)
+    start + env_steps as f64 / decay_steps as f64 * (end - start)
 }
 
 /// How many gradient steps are due when the count of environment steps goes from `before` to `after`: one every
@@ -26,7 +35,15 @@ mod tests {
 
     #[test]
     fn epsilon_is_linear_and_then_constant() {
-        let exploration = Exploration { epsilon_start: 1.0, epsilon_end: 0.1, epsilon_decay_steps: 90 };
+        let exploration = Exploration {
+            epsilon_start: 1.0,
+            epsilon_end: 0.1,
+            epsilon_decay_steps: 90,
+            guide_start: 0.5,
+            guide_end: 0.0,
+            guide_decay_steps: 10,
+        };
+        assert_eq!([0, 5, 10].map(|steps| guide(&exploration, steps)), [0.5, 0.25, 0.0]);
         assert_eq!(epsilon(&exploration, 0), 1.0);
         assert!((epsilon(&exploration, 45) - 0.55).abs() < 1e-12);
         assert_eq!(epsilon(&exploration, 90), 0.1);

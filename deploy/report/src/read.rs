@@ -273,7 +273,7 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
     };
     let mut run = Run {
         path: path.into(),
-        arm: place(root, path).1.unwrap_or_else(|| config.run.algo.name().into()),
+        arm: place(root, path).1.unwrap_or_else(|| config.arm()),
         task,
         config,
         outcome,

@@ -2,11 +2,15 @@
 
 use crate::replay::ReplayMemoryError;
 use trestle_proto::annotation::AnnotationError;
+use trestle_proto::similarity::metric::MetricError;
 use trestle_qnet::{AdamError, LossError, NetworkError, PlanError};
 
 /// Why an agent cannot be made or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
+    /// The state distance of shaping.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
     /// The network's sizes or its input's encoding.
     #[error(transparent)]
     Plan(#[from] PlanError),

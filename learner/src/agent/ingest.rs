@@ -3,6 +3,7 @@
 use super::{Agent, AgentError, Running, Selection};
 use crate::record::{Counters, Episode};
 use trestle_proto::NONE;
+use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::observe::Observed;
 use trestle_proto::space::reported;
@@ -41,6 +42,9 @@ impl Agent {
         if let (Some(mentor), Some(observed)) = (&mut self.mentor, observed) {
             mentor.annotations.apply(&observed.changed)?;
             mentor.searches_cut_short += u64::from(observed.cut_short);
+            for record in observed.changed.chunks_exact(record_words(self.replay.obs_dim())) {
+                self.renew_guide(record[0] as usize);
+            }
         }
         let mut ingested = Ingested::default();
         let first = self.replay.next_index();
@@ -50,7 +54,10 @@ impl Agent {
             }
             let transition = batch.transition(index);
             let picked = observed.map_or(NONE, |observed| observed.mentor[index]);
-            self.replay.push(&transition, batch.header.actor, picked);
+            let slot = self.replay.push(&transition, batch.header.actor, picked);
+            if let Some(shaping) = &mut self.shaping {
+                shaping.store(slot, &transition);
+            }
             if let Some(mentor) = self.mentor.as_mut().filter(|_| picked != NONE) {
                 mentor.visited[picked as usize] += 1;
             }
@@ -124,8 +131,8 @@ impl Agent {
             while index < replay.next_index() && !step.is_full() {
                 let slot = replay.slot(index);
                 index += 1;
-                if replay.get(slot).mentor.is_some() {
-                    step.add(slot, replay, Some(mentor), &self.settings.rule, &self.encoding);
+                if let Some(j) = replay.get(slot).mentor {
+                    step.add(slot, Some(j), replay, Some(mentor), &self.settings.rule, &self.encoding);
                 }
             }
             step.forward_values(&self.network)?;

@@ -9,7 +9,7 @@
 //!         observed = what the mentor-server answers to the batch        (nothing for dqn)
 //!         ingested = agent.ingest(&batch, Some(&observed))              counts, stores, reports ended episodes
 //!     stats = agent.train()                                             all gradient steps that are due
-//!     the actors get agent.weights()
+//!     the actors get agent.acting()
 //! ```
 //!
 //! The agent's state is a function of the plan and of what was ingested, in this order.
@@ -29,15 +29,19 @@ pub use stats::{MentorSummary, TrainStats};
 use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
 use crate::record::{Counters, MentorRow};
 use crate::replay::Replay;
+use crate::shaping::Shaping;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
 use step::Step;
 use trestle_proto::annotation::AnnotationTable;
-use trestle_proto::config::{Learner, LossKind, SelectionKind};
+use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, network_of};
+
+/// The guide's entry of a mentor transition of which no action is known.
+const UNKNOWN: f32 = -1.0;
 
 /// All that learns. See the module for how it is used.
 #[derive(Debug)]
@@ -49,6 +53,8 @@ pub struct Agent {
     replay: Replay,
     /// None for `dqn`.
     mentor: Option<MentorSide>,
+    /// What is added to the rewards, if anything is.
+    shaping: Option<Shaping>,
     /// Draws from the replay.
     rng: Stream,
     counters: Counters,
@@ -59,8 +65,9 @@ pub struct Agent {
     /// Whether transitions have been dropped because the run had reached its limits.
     cut_short: bool,
     step: Step,
-    /// A copy of the online parameters, as of the last [`Agent::train`]: what actors get.
-    weights: Vec<f32>,
+    /// What actors get: a copy of the online parameters as of the last [`Agent::train`], and behind them, with guided
+    /// exploration, the action of each mentor transition, or -1.
+    acting: Vec<f32>,
 }
 
 /// What the agent takes from the plan.
@@ -79,6 +86,9 @@ struct Settings {
     env_steps: Option<u64>,
     rule: MentorRule,
     selection: Selection,
+    combine: CombineKind,
+    draw: DrawKind,
+    one_sided: bool,
 }
 
 /// How a sample's loss is chosen, with the settings of the choice.
@@ -86,6 +96,7 @@ struct Settings {
 enum Selection {
     MinDistance,
     Confidence(Confidence),
+    Always,
 }
 
 /// What the agent knows of the mentor.
@@ -146,12 +157,15 @@ impl Agent {
             transitions,
         });
         let seed = plan.config.run.seed;
-        let weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
+        let mut acting = init(&layout, &mut stream(seed, Purpose::Weights, 0));
+        let network = QNetwork::new(layout.clone(), &acting)?;
+        acting.resize(acting.len() + plan.guide_len(), UNKNOWN);
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch),
             adam: Adam::new(layout.n_params()),
             replay: Replay::new(settings.learner.replay, obs_dim)?,
-            network: QNetwork::new(layout, &weights)?,
+            network,
+            shaping: Shaping::new(plan)?,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
@@ -160,7 +174,7 @@ impl Agent {
             settings,
             encoding,
             mentor,
-            weights,
+            acting,
         })
     }
 
@@ -189,13 +203,30 @@ impl Agent {
     /// The online parameters after the last [`Agent::train`] (the initial ones before the first), flat in the order
     /// of the layout.
     pub fn weights(&self) -> &[f32] {
-        &self.weights
+        &self.acting[..self.network.layout().n_params()]
+    }
+
+    /// What actors act with: [`Agent::weights`], and with guided exploration the table of actions behind them, one entry
+    /// for each mentor transition: the action of its loss as of the last [`Agent::ingest`], or -1.
+    pub fn acting(&self) -> &[f32] {
+        &self.acting
+    }
+
+    /// Renews the guide's entry of mentor transition `j`.
+    fn renew_guide(&mut self, j: usize) {
+        let Some(mentor) = &self.mentor else { return };
+        let n_params = self.network.layout().n_params();
+        if let Some(entry) = self.acting.get_mut(n_params + j) {
+            let term = mentor_term(&self.settings.rule, j, &mentor.annotations, &mentor.transitions, 0.0);
+            // Exact: there are at most 1024 actions.
+            *entry = term.map_or(UNKNOWN, |term| term.action as f32);
+        }
     }
 
     /// SHA-256 of [`Agent::weights`] as little-endian bytes, in hexadecimal: equal for runs that learnt the same.
     pub fn weights_sha256(&self) -> String {
         let mut hash = Sha256::new();
-        for weight in &self.weights {
+        for weight in self.weights() {
             hash.update(weight.to_le_bytes());
         }
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
@@ -263,7 +294,11 @@ impl Settings {
             selection: match mentor.selection {
                 SelectionKind::MinDistance => Selection::MinDistance,
                 SelectionKind::Confidence => Selection::Confidence(Confidence::new(mentor)),
+                SelectionKind::Always => Selection::Always,
             },
+            combine: mentor.combine,
+            draw: mentor.draw,
+            one_sided: mentor.one_sided,
         })
     }
 }

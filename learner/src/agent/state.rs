@@ -128,7 +128,11 @@ impl Agent {
             mentor.searches_cut_short = state.searches_cut_short;
         }
         self.network.load(&parts.online, &parts.target)?;
-        self.weights.copy_from_slice(&parts.online);
+        self.acting[..n_params].copy_from_slice(&parts.online);
+        (0..mentor_len).for_each(|j| self.renew_guide(j));
+        if let Some(shaping) = &mut self.shaping {
+            shaping.store_all(&self.replay);
+        }
         self.adam.clone_from(&parts.adam);
         self.counters = state.counters;
         self.trained_to = state.trained_to;

@@ -6,10 +6,13 @@
 //! with its weight, reward and next state: one for each loss that is used.
 
 use super::{AgentError, MentorSide, Selection, Settings, TrainStats};
-use crate::losses::{Distances, MentorKind, MentorRule, mentor_term, min_distance, next_value, target_value};
+use crate::losses::{
+    Distances, MentorKind, MentorRule, Weights, acts, mentor_term, min_distance, next_value, target_value,
+};
 use crate::replay::Replay;
-use rand::RngCore;
-use trestle_proto::config::Backend;
+use crate::shaping::Shaping;
+use rand::{Rng, RngCore};
+use trestle_proto::config::{Backend, DrawKind};
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
 use trestle_qnet::{Encoding, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train};
 
@@ -20,6 +23,9 @@ struct Sample {
     /// Row of s_o.
     row: usize,
     action: u32,
+    /// The mentor transition that belongs to it.
+    mentor: Option<usize>,
+    /// That, if it has something to say.
     candidate: Option<Candidate>,
 }
 
@@ -41,8 +47,10 @@ pub(super) struct Term {
     pub(super) row: usize,
     /// The action whose value it is.
     pub(super) action: u32,
-    /// Weight of its loss, above 0 to 1.
+    /// Weight of its loss, 0 to 1.
     pub(super) weight: f32,
+    /// Whether this is an L_m; the term before it is its sample's L_o.
+    mentor: bool,
     reward: f32,
     /// Row of the next state; none where that is terminal.
     next: Option<usize>,
@@ -58,12 +66,14 @@ pub(super) struct Step {
     pub(super) grad: Vec<f32>,
     /// What is regressed, once [`Step::choose`] has run.
     pub(super) terms: Vec<Term>,
-    /// The mentor transitions whose L_m is among the terms, one entry a sample.
+    /// The mentor transitions whose L_m is among the terms, one entry a sample; a one-sided one may yet not act.
     used: Vec<u32>,
     /// Most samples.
     batch: usize,
     n_actions: usize,
     slots: Vec<u32>,
+    /// The mentor transitions drawn with them; empty where a stored transition keeps its own.
+    drawn: Vec<u32>,
     samples: Vec<Sample>,
     x: Rows,
     q: Vec<f32>,
@@ -122,6 +132,7 @@ impl Step {
             batch,
             n_actions: layout.output(),
             slots: Vec::with_capacity(batch),
+            drawn: Vec::with_capacity(batch),
             samples: Vec::with_capacity(batch),
             x: Rows::new(layout.input(), rows),
             q: values(),
@@ -149,9 +160,27 @@ impl Step {
         &self.slots
     }
 
-    /// Draws `n` slots.
-    pub(super) fn draw(&mut self, replay: &Replay, rng: &mut impl RngCore, n: usize) {
+    /// The mentor transitions drawn with them.
+    #[cfg(test)]
+    pub(super) fn drawn(&self) -> &[u32] {
+        &self.drawn
+    }
+
+    /// Draws `n` slots, and with `uniform` a mentor transition for each.
+    pub(super) fn draw(
+        &mut self,
+        replay: &Replay,
+        mentor: Option<&MentorSide>,
+        kind: DrawKind,
+        rng: &mut impl RngCore,
+        n: usize,
+    ) {
         replay.sample(rng, n, &mut self.slots);
+        self.drawn.clear();
+        if let (DrawKind::Uniform, Some(mentor)) = (kind, mentor) {
+            let len = mentor.transitions.len() as u32;
+            self.drawn.extend((0..n).map(|_| rng.random_range(0..len)));
+        }
     }
 
     /// Makes the drawn slots the samples.
@@ -164,14 +193,17 @@ impl Step {
     ) {
         self.clear();
         for at in 0..self.slots.len() {
-            self.add(self.slots[at] as usize, replay, mentor, rule, encoding);
+            let slot = self.slots[at] as usize;
+            let j = self.drawn.get(at).map_or(replay.get(slot).mentor, |&j| Some(j as usize));
+            self.add(slot, j, replay, mentor, rule, encoding);
         }
     }
 
-    /// Makes the entry in `slot` a sample. There must be room.
+    /// Makes the entry in `slot` a sample, to which mentor transition `j` belongs. There must be room.
     pub(super) fn add(
         &mut self,
         slot: usize,
+        j: Option<usize>,
         replay: &Replay,
         mentor: Option<&MentorSide>,
         rule: &MentorRule,
@@ -179,13 +211,14 @@ impl Step {
     ) {
         let entry = replay.get(slot);
         let row = self.x.push(encoding, entry.transition.obs);
-        let candidate = mentor.zip(entry.mentor).and_then(|(mentor, j)| {
+        let candidate = mentor.zip(j).and_then(|(mentor, j)| {
             let r_o = entry.transition.reward;
             let term = mentor_term(rule, j, &mentor.annotations, &mentor.transitions, r_o)?;
             let row = self.x.push(encoding, mentor.transitions.state(j));
             Some(Candidate { j, row, kind: term.kind, action: term.action, e_kl: term.e_kl })
         });
-        self.samples.push(Sample { slot, row, action: entry.transition.action, candidate });
+        let action = entry.transition.action;
+        self.samples.push(Sample { slot, row, action, mentor: j, candidate });
     }
 
     /// Q-values of all rows under the online network, kept for the gradient.
@@ -205,6 +238,7 @@ impl Step {
         &mut self,
         replay: &Replay,
         mentor: Option<&MentorSide>,
+        shaping: Option<&Shaping>,
         settings: &Settings,
         encoding: &Encoding,
         stats: &mut TrainStats,
@@ -215,27 +249,30 @@ impl Step {
         stats.samples += self.samples.len() as u64;
         for sample in &self.samples {
             let entry = replay.get(sample.slot);
-            stats.with_mentor += u64::from(entry.mentor.is_some());
+            stats.with_mentor += u64::from(sample.mentor.is_some());
             match sample.candidate.map(|candidate| candidate.kind) {
                 Some(MentorKind::Feasible) => stats.feasible += 1,
                 Some(MentorKind::Bridged) => stats.bridged += 1,
                 None => {}
             }
             let phi = self.mentor_weight(sample, replay, mentor, settings);
-            stats.mentor_weight_sum += f64::from(phi);
+            let weights = Weights::of(settings.combine, phi);
             let own = &entry.transition;
-            if phi < 1.0 {
+            // A one-sided L_m may yet leave its weight to L_o.
+            if weights.own > 0.0 || settings.one_sided {
                 let next = (!own.terminated()).then(|| self.next.push(encoding, own.next_obs));
                 self.terms.push(Term {
                     row: sample.row,
                     action: sample.action,
-                    weight: 1.0 - phi,
-                    reward: own.reward,
+                    weight: weights.own,
+                    mentor: false,
+                    reward: own.reward + shaping.map_or(0.0, |shaping| shaping.added(sample.slot)),
                     next,
                     target: 0.0,
                 });
             }
-            let (Some(mentor), Some(candidate)) = (mentor.filter(|_| phi > 0.0), sample.candidate) else {
+            let (Some(mentor), Some(candidate)) = (mentor.filter(|_| weights.mentor > 0.0), sample.candidate)
+            else {
                 continue;
             };
             let (annotations, transitions) = (&mentor.annotations, &mentor.transitions);
@@ -246,7 +283,8 @@ impl Step {
                 self.terms.push(Term {
                     row: candidate.row,
                     action: term.action,
-                    weight: phi,
+                    weight: weights.mentor,
+                    mentor: true,
                     reward: term.reward,
                     next,
                     target: 0.0,
@@ -255,7 +293,7 @@ impl Step {
         }
     }
 
-    /// The weight of a sample's L_m; L_o has the rest.
+    /// The weight Φ of a sample's L_m.
     fn mentor_weight(
         &self,
         sample: &Sample,
@@ -280,6 +318,7 @@ impl Step {
                 let q_m_of_a_o = of_s_m[sample.action as usize];
                 confidence.weight(candidate.kind, q_m, q_m_of_a_o, trained, candidate.e_kl)
             }
+            Selection::Always => 1.0,
         }
     }
 
@@ -340,7 +379,22 @@ impl Step {
             });
             term.target = target_value(term.reward, settings.gamma, next);
         }
+        if settings.one_sided {
+            self.drop_lower_targets();
+        }
         Ok(())
+    }
+
+    /// Takes the weight of every L_m whose target is not above the present value, and gives its sample's L_o the whole.
+    fn drop_lower_targets(&mut self) {
+        for at in 1..self.terms.len() {
+            let term = self.terms[at];
+            let q = values(&self.q, term.row, self.n_actions)[term.action as usize];
+            if term.mentor && !acts(q, term.target) {
+                self.terms[at].weight = 0.0;
+                self.terms[at - 1].weight = 1.0;
+            }
+        }
     }
 
     /// The gradient of the mean loss of the samples.
@@ -358,6 +412,9 @@ impl Step {
             let q = values(&self.q, term.row, n_actions)[term.action as usize];
             loss += f64::from(term.weight) * f64::from(settings.loss.value(q, term.target));
             stats.td_abs_sum += f64::from(term.weight) * f64::from((term.target - q).abs());
+            if term.mentor {
+                stats.mentor_weight_sum += f64::from(term.weight);
+            }
             let dq = scale * term.weight * settings.loss.derivative(q, term.target);
             self.row_grads.push(RowGrad { row: term.row as u32, action: term.action, dq });
         }

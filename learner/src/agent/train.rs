@@ -21,13 +21,13 @@ impl Agent {
             self.gradient_step(&mut stats)?;
         }
         if due > 0 {
-            let weights = &mut self.weights;
+            let weights = &mut self.acting[..self.network.layout().n_params()];
             self.network.with_params(|online, _| weights.copy_from_slice(online))?;
             let grad_steps = self.counters.grad_steps;
             if !stats.loss_sum.is_finite() {
                 return Err(AgentError::Diverged { what: "the loss", grad_steps });
             }
-            if !self.weights.iter().all(|w| w.is_finite()) {
+            if !self.weights().iter().all(|w| w.is_finite()) {
                 return Err(AgentError::Diverged { what: "a weight", grad_steps });
             }
         }
@@ -37,15 +37,22 @@ impl Agent {
     /// Draw, forward, choose, backward, Adam, target.
     pub(super) fn gradient_step(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
         let (settings, step) = (&self.settings, &mut self.step);
-        step.draw(&self.replay, &mut self.rng, settings.learner.batch);
+        step.draw(&self.replay, self.mentor.as_ref(), settings.draw, &mut self.rng, settings.learner.batch);
         step.collect(&self.replay, self.mentor.as_ref(), &settings.rule, &self.encoding);
         step.forward_values(&self.network)?;
-        step.choose(&self.replay, self.mentor.as_ref(), settings, &self.encoding, stats);
+        step.choose(
+            &self.replay,
+            self.mentor.as_ref(),
+            self.shaping.as_ref(),
+            settings,
+            &self.encoding,
+            stats,
+        );
         if let Some(mentor) = &mut self.mentor {
             step.count_used(&mut mentor.used);
             match settings.selection {
                 Selection::MinDistance => step.refresh_past(&mut self.replay),
-                Selection::Confidence(_) => step.count_trained(&mut mentor.trained),
+                Selection::Confidence(_) | Selection::Always => step.count_trained(&mut mentor.trained),
             }
         }
         step.forward_targets(&self.network, settings)?;

@@ -14,5 +14,5 @@ pub mod selection;
 pub mod target;
 
 pub use mentor::{MentorKind, MentorRule, MentorTerm, mentor_term};
-pub use selection::{Confidence, Distances, min_distance};
+pub use selection::{Confidence, Distances, Weights, acts, min_distance};
 pub use target::{next_value, target_value};

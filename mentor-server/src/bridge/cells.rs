@@ -98,9 +98,9 @@ impl Cells {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metric::kl;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
+    use trestle_proto::similarity::metric::kl;
 
     proptest! {
         #[test]

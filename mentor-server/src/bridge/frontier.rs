@@ -3,8 +3,8 @@
 
 use super::Path;
 use super::graph::Graph;
-use crate::metric::kl;
 use crate::states::States;
+use trestle_proto::similarity::metric::kl;
 
 /// Which states have been seen in the present search.
 #[derive(Clone, Debug, Default)]

@@ -43,8 +43,8 @@ mod wanted;
 mod tests;
 
 use crate::demonstration::Order;
-use crate::similarity::{Hit, Similarity};
 use trestle_proto::annotation::{AnnotationTable, Bridge};
+use trestle_proto::similarity::{Hit, Similarity};
 
 /// What bridges are.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,8 +3,8 @@
 
 use super::Path;
 use crate::history::{History, Stored};
-use crate::metric::kl;
 use std::cmp::Ordering;
+use trestle_proto::similarity::metric::kl;
 
 /// What decides between bridges, best first: length, end KL, reward of the first step (higher is better).
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,9 +6,9 @@
 //! transitions.
 
 use super::graph::Graph;
-use crate::metric::kl;
-use crate::similarity::{Hit, Similarity};
 use crate::states::States;
+use trestle_proto::similarity::metric::kl;
+use trestle_proto::similarity::{Hit, Similarity};
 
 /// A value and the newest stored transition that shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]

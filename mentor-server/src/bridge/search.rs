@@ -20,12 +20,13 @@ use super::graph::{Graph, News};
 use super::outlook::{Outlook, Stock};
 use super::wanted::{Goal, Newest, Reach, Wanted, backward_goals, forward_goals};
 use super::{Path, improve};
+use crate::demonstration::transitions;
 use crate::history::Stored;
-use crate::metric::kl;
-use crate::similarity::{Hit, transitions};
 use crate::states::States;
 use std::cmp::Ordering;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
+use trestle_proto::similarity::Hit;
+use trestle_proto::similarity::metric::kl;
 
 /// States and links that a search looks at in each direction, at most. Beyond it bridges may be missed, or longer
 /// than they could be; those without cross-referencing never are. Few searches begin, and most of them look at little: the

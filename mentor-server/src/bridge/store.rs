@@ -2,8 +2,8 @@
 
 use super::graph::{Graph, News};
 use crate::history::History;
-use crate::metric::{Metric, kl};
 use trestle_proto::batch::Transition;
+use trestle_proto::similarity::metric::{Metric, kl};
 
 /// Stores a transition of `actor`, in place of the oldest one if the history is full. Its number, and what it adds to
 /// the graph (nothing if there is none).

@@ -4,9 +4,10 @@
 //! bridge that cross-referencing is not needed for, at a cost of k look-ups at most.
 
 use super::{Path, improve};
+use crate::demonstration::transitions;
 use crate::history::History;
-use crate::similarity::{Hit, transitions};
 use trestle_proto::annotation::{AnnotationTable, Bridge};
+use trestle_proto::similarity::Hit;
 
 /// Working memory.
 #[derive(Clone, Debug, Default)]

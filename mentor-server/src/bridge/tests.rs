@@ -9,13 +9,13 @@ use super::store::store;
 use super::{BridgeRule, Path, cells::Cells, straight};
 use crate::demonstration::Demonstration;
 use crate::history::History;
-use crate::metric::{Metric, kl};
-use crate::similarity::Similarity;
 use crate::states::mix;
 use crate::testing::cases;
 use proptest::prelude::*;
 use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::similarity::Similarity;
+use trestle_proto::similarity::metric::{Metric, kl};
 
 /// One observer step: actor, where it goes (0 to 3), reward, whether and how its episode ends, whether it jumps first.
 type Move = (u32, u8, i8, u8, bool);

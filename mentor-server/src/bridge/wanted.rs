@@ -8,9 +8,9 @@
 use super::Path;
 use super::outlook::{Outlook, Stock};
 use super::search::NEVER;
-use crate::metric::kl;
-use crate::similarity::Hit;
 use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::similarity::Hit;
+use trestle_proto::similarity::metric::kl;
 
 /// Distances are taken as this much shorter than computed, which covers rounding: sums of 4096 squares are off by less.
 const SHORTER: f64 = 0.999;

@@ -14,11 +14,10 @@ use crate::bridge::graph::{Graph, News};
 use crate::bridge::search::{Arrival, Search};
 use crate::bridge::store::store;
 use crate::bridge::{BridgeRule, Path, straight};
+use crate::demonstration::transitions;
 use crate::demonstration::{Demonstration, Order};
 use crate::history::History;
 use crate::inference::{Inference, Observation};
-use crate::metric::{Metric, MetricError};
-use crate::similarity::{Hit, Similarity, transitions};
 use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationError, AnnotationTable};
 use trestle_proto::batch::{Batch, Transition};
@@ -28,6 +27,8 @@ use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::query::{MALFORMED, OUT_OF_ORDER, OUT_OF_RANGE};
 use trestle_proto::rng::{Purpose, pick};
+use trestle_proto::similarity::metric::{Metric, MetricError};
+use trestle_proto::similarity::{Hit, Similarity};
 use trestle_proto::space::EnvSpec;
 
 /// What a [`Mentor`] refuses. After a refusal it is as it was before, but for [`Mentor::restore`].
@@ -36,6 +37,16 @@ pub enum MentorError {
     /// A demonstration that holds no transition.
     #[error("the demonstration has no transition; accepted: 1 or more")]
     EmptyDemonstration,
+    /// A demonstration of other states than the environment's.
+    #[error(
+        "the demonstration's states have {found} features; accepted: {expected}, as the environment's have"
+    )]
+    Features {
+        /// Those of the demonstration.
+        found: usize,
+        /// Those of the environment.
+        expected: usize,
+    },
     /// A setting out of range.
     #[error("{key} = {value}; accepted: {accepted}")]
     Setting {
@@ -157,7 +168,10 @@ impl Mentor {
         }
         let thresholds = check_settings(config, replay)?;
         let dim = spec.obs_dim();
-        let metric = Metric::from_config(config.covariance, config.sigma_floor, &spec.scale, demo)?;
+        if demo.dim() != dim {
+            return Err(MentorError::Features { found: demo.dim(), expected: dim });
+        }
+        let metric = Metric::from_config(config.covariance, config.sigma_floor, &spec.scale, demo.states())?;
         let whitened = metric.whiten_all(demo.states());
         let order = demo.order();
         let count = order.n_transitions();

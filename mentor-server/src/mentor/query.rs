@@ -1,12 +1,13 @@
 //! What a [`Mentor`] answers when it is asked (`mentor/query`). Nothing here changes it.
 
 use super::{Mentor, MentorError};
-use crate::metric::kl;
-use crate::similarity::{Hit, transitions};
+use crate::demonstration::transitions;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::limits::MAX_QUERY_ROWS;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::query::Stats;
+use trestle_proto::similarity::Hit;
+use trestle_proto::similarity::metric::kl;
 
 impl Mentor {
     /// The mentor transitions that begin in a state similar to `state`, with their KL, nearest first (equally near ones

@@ -156,7 +156,7 @@ fn settings_and_demonstrations_are_checked() {
     assert!(new(&demo(&[]), |_| (), 10).contains("no transition"));
     let mut narrow = Demonstration::new(vec!["x".into()]).unwrap();
     narrow.push_trajectory(&[0.0, 1.0], false).unwrap();
-    assert!(new(&narrow, |_| (), 10).contains("1 features; accepted: 2"));
+    assert!(new(&narrow, |_| (), 10).contains("1 features; accepted: 2, as"));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! A configuration is a preset or a TOML file (which may name a preset as its `base`), then `key=value` overrides.
 //! What is left out has the default of this file. Unknown keys, wrong types and values out of range are refused.
 
+mod arm;
 mod demos;
 mod load;
 mod point_maze;
@@ -31,6 +32,8 @@ pub struct Config {
     pub learner: Learner,
     /// Demonstration and imitation.
     pub mentor: Mentor,
+    /// Shaping of `dqn`'s rewards.
+    pub shaping: Shaping,
     /// Greedy evaluations and when the task counts as solved.
     pub eval: Eval,
     /// Checkpoints.
@@ -151,6 +154,13 @@ pub struct Exploration {
     pub epsilon_end: f64,
     /// Environment steps of all actors over which ε falls linearly.
     pub epsilon_decay_steps: u64,
+    /// Guided exploration, not the paper's: share of the exploring steps, at the first step, that take the action known
+    /// for the nearest similar mentor state, 0 to 1. Both 0: none.
+    pub guide_start: f64,
+    /// That share from `guide_decay_steps` on, 0 to 1.
+    pub guide_end: f64,
+    /// Environment steps of all actors over which that share falls linearly.
+    pub guide_decay_steps: u64,
 }
 
 /// `[learner]`
@@ -255,6 +265,12 @@ pub struct Mentor {
     pub reward: RewardKind,
     /// How a sample's loss is chosen.
     pub selection: SelectionKind,
+    /// Whether the mentor's loss takes the place of the observer's or is added to it.
+    pub combine: CombineKind,
+    /// Which mentor transition belongs to a sample.
+    pub draw: DrawKind,
+    /// Whether the mentor's loss acts only where its target is above the present value.
+    pub one_sided: bool,
     /// `confidence`: steepness β of the sigmoid, above 0.
     pub beta: f64,
     /// `confidence`: training count c_max at which a mentor state is fully trusted, 1 or more.
@@ -303,6 +319,37 @@ pub enum SelectionKind {
     MinDistance,
     /// Both, weighted by the confidence Φ in the mentor (arXiv 2511.03616).
     Confidence,
+    /// The mentor's wherever there is one; not the paper's.
+    Always,
+}
+
+/// What the mentor's loss L_m, of weight Φ, does to the observer's own L_o.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CombineKind {
+    /// (1 - Φ) L_o + Φ L_m: one takes the other's place, as in the paper.
+    Instead,
+    /// L_o + Φ L_m: the observer's own experience is never displaced; not the paper's.
+    Beside,
+}
+
+/// Which mentor transition belongs to a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DrawKind {
+    /// One of those whose state is similar to the sample's, drawn when it is stored, as in the paper.
+    Similar,
+    /// Any one, drawn whenever the sample is: each is trained as often as every other, wherever the observer has been;
+    /// not the paper's.
+    Uniform,
+}
+
+/// `[shaping]`, a rival of the mentor's losses rather than a part of them: `dqn` alone.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Shaping {
+    /// Potential of the end of the mentor's path, 0 or more; 0: no shaping.
+    pub potential: f64,
 }
 
 /// `[eval]`
@@ -373,7 +420,14 @@ impl Default for Env {
 
 impl Default for Exploration {
     fn default() -> Self {
-        Self { epsilon_start: 1.0, epsilon_end: 0.05, epsilon_decay_steps: 50_000 }
+        Self {
+            epsilon_start: 1.0,
+            epsilon_end: 0.05,
+            epsilon_decay_steps: 50_000,
+            guide_start: 0.0,
+            guide_end: 0.0,
+            guide_decay_steps: 50_000,
+        }
     }
 }
 
@@ -418,6 +472,9 @@ impl Default for Mentor {
             cross_reference: true,
             reward: RewardKind::Matched,
             selection: SelectionKind::MinDistance,
+            combine: CombineKind::Instead,
+            draw: DrawKind::Similar,
+            one_sided: false,
             beta: 1.0,
             c_max: 100,
             e_max: 1.0,

@@ -1,6 +1,6 @@
 //! Ranges and combinations of settings that types do not exclude.
 
-use super::{Config, ConfigError, EnvKind, TargetKind};
+use super::{Config, ConfigError, DrawKind, EnvKind, SelectionKind, TargetKind};
 use crate::limits::{
     MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_MENTORS, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT,
     MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S,
@@ -38,6 +38,7 @@ impl Config {
         self.validate_exploration()?;
         self.validate_learner()?;
         self.validate_mentor()?;
+        self.validate_shaping()?;
         within("eval.every", self.eval.every, 1.., "1 or more")?;
         within("eval.episodes", self.eval.episodes, 1..=MAX_ROLLOUT, "1 to 4096")?;
         within("eval.tolerance", self.eval.tolerance, 0.0..=f64::MAX, "0 or more")?;
@@ -120,7 +121,20 @@ impl Config {
     fn validate_exploration(&self) -> Result<(), ConfigError> {
         let e = &self.exploration;
         within("exploration.epsilon_start", e.epsilon_start, 0.0..=1.0, "0 to 1")?;
-        within("exploration.epsilon_end", e.epsilon_end, 0.0..=1.0, "0 to 1")
+        within("exploration.epsilon_end", e.epsilon_end, 0.0..=1.0, "0 to 1")?;
+        within("exploration.guide_start", e.guide_start, 0.0..=1.0, "0 to 1")?;
+        within("exploration.guide_end", e.guide_end, 0.0..=1.0, "0 to 1")
+    }
+
+    fn validate_shaping(&self) -> Result<(), ConfigError> {
+        let (potential, algo) = (self.shaping.potential, self.run.algo);
+        within("shaping.potential", potential, 0.0..=f64::MAX, "0 (no shaping) or more")?;
+        if self.shaped() && algo.has_mentor() {
+            // The mentor's losses know unshaped rewards only: the two would disagree about every value.
+            let accepted = format!("0 with run.algo = {}", algo.name());
+            return Err(refuse("shaping.potential", potential, &accepted));
+        }
+        Ok(())
     }
 
     fn validate_learner(&self) -> Result<(), ConfigError> {
@@ -162,6 +176,10 @@ impl Config {
         }
         within("mentor.k", m.k, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
         within("mentor.n", m.n, 1..=MAX_BRIDGE_DEPTH, "1 to 64")?;
+        if m.draw == DrawKind::Uniform && m.selection == SelectionKind::MinDistance {
+            // Its past values belong to a stored pair of transitions.
+            return Err(refuse("mentor.draw", "uniform", "`similar` with mentor.selection = min-distance"));
+        }
         positive("mentor.beta", m.beta)?;
         within("mentor.c_max", m.c_max, 1.., "1 or more")?;
         positive("mentor.e_max", m.e_max)

@@ -5,6 +5,7 @@ use crate::agent::{Agent, Selection, TrainStats};
 use proptest::prelude::*;
 use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::config::{CombineKind, DrawKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_qnet::Loss;
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
@@ -68,8 +69,15 @@ fn naive_mentor(
     }
 }
 
-/// All terms of the drawn samples; none if a choice hangs on the last bits.
-fn naive_terms(agent: &Agent, slots: &[u32], online: &[f32], target: &[f32]) -> Option<Vec<Naive>> {
+/// All terms of the drawn samples; none if a choice hangs on the last bits. `drawn`: the mentor transitions drawn with
+/// them, if any were.
+fn naive_terms(
+    agent: &Agent,
+    slots: &[u32],
+    drawn: &[u32],
+    online: &[f32],
+    target: &[f32],
+) -> Option<Vec<Naive>> {
     let settings = &agent.settings;
     let value = |next: &[f32]| {
         let values = naive_q(agent, target, next)?;
@@ -84,11 +92,15 @@ fn naive_terms(agent: &Agent, slots: &[u32], online: &[f32], target: &[f32]) -> 
         Some(f64::from(reward) + settings.learner.gamma * value)
     };
     let mut terms = Vec::new();
-    for &slot in slots {
+    for (at, &slot) in slots.iter().enumerate() {
         let entry = agent.replay().get(slot as usize);
         let own = entry.transition;
         let q_o = naive_q(agent, online, own.obs)?[own.action as usize];
-        let mentor = agent.mentor.as_ref().zip(entry.mentor).and_then(|(m, j)| {
+        let j = match settings.draw {
+            DrawKind::Similar => entry.mentor,
+            DrawKind::Uniform => drawn.get(at).map(|&j| j as usize),
+        };
+        let mentor = agent.mentor.as_ref().zip(j).and_then(|(m, j)| {
             let term = naive_mentor(agent, &m.annotations, &m.transitions, j, own.reward)?;
             Some((m, j, term))
         });
@@ -112,28 +124,43 @@ fn naive_terms(agent: &Agent, slots: &[u32], online: &[f32], target: &[f32]) -> 
                     let zeta = 1.0 - f64::from(m.annotations.errors()[j]) / c.e_max;
                     if feasible { phi.min(zeta) } else { phi }
                 }
+                Selection::Always => 1.0,
             };
             let (obs, target) = (m.transitions.state(j).to_vec(), y(reward, terminal, &next)?);
+            if settings.one_sided {
+                if (target - q_m).abs() < 1e-6 {
+                    return None;
+                }
+                phi = if target > q_m { phi } else { 0.0 };
+            }
             terms.push(Naive { obs, action, target, weight: phi });
         }
-        let target = y(own.reward, own.terminated(), own.next_obs)?;
-        terms.push(Naive { obs: own.obs.to_vec(), action: own.action, target, weight: 1.0 - phi });
+        let (target, transition) = (y(own.reward, own.terminated(), own.next_obs)?, own);
+        let own = if settings.combine == CombineKind::Beside { 1.0 } else { 1.0 - phi };
+        terms.push(Naive { obs: transition.obs.to_vec(), action: transition.action, target, weight: own });
     }
     Some(terms)
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(ProptestConfig::with_cases(192))]
     #[test]
     fn loss_and_gradient_are_those_of_the_definitions(
         algo in prop::sample::select(vec!["dqn", "diiqn", "ha-diiqn"]),
         loss in prop::sample::select(vec!["huber", "squared"]),
-        selection in prop::sample::select(vec!["min-distance", "confidence"]),
+        selection in prop::sample::select(vec!["min-distance", "confidence", "always"]),
+        combine in prop::sample::select(vec!["instead", "beside"]),
+        draw in prop::sample::select(vec!["similar", "uniform"]),
+        one_sided: bool,
         reward in prop::sample::select(vec!["matched", "observer"]),
         double: bool,
         seed in 0u64..1000,
     ) {
+        let draw = if selection == "min-distance" { "similar" } else { draw };
         let sets = [
+            format!("mentor.combine={combine}"),
+            format!("mentor.draw={draw}"),
+            format!("mentor.one_sided={one_sided}"),
             format!("run.algo={algo}"),
             format!("run.seed={seed}"),
             format!("learner.loss={loss}"),
@@ -150,16 +177,16 @@ proptest! {
         let (online, target) = agent.network().with_params(|o, t| (o.to_vec(), t.to_vec())).unwrap();
         let mut stats = TrainStats::default();
         let Agent { settings, encoding, network, replay, mentor, rng, step, .. } = &mut agent;
-        step.draw(replay, rng, 8);
-        let slots = step.slots().to_vec();
+        step.draw(replay, mentor.as_ref(), settings.draw, rng, 8);
+        let (slots, drawn) = (step.slots().to_vec(), step.drawn().to_vec());
         step.collect(replay, mentor.as_ref(), &settings.rule, encoding);
         step.forward_values(network).unwrap();
-        step.choose(replay, mentor.as_ref(), settings, encoding, &mut stats);
+        step.choose(replay, mentor.as_ref(), None, settings, encoding, &mut stats);
         step.forward_targets(network, settings).unwrap();
         step.differentiate(network, settings, &mut stats).unwrap();
         let grad = step.grad.clone();
 
-        let Some(naive) = naive_terms(&agent, &slots, &online, &target) else {
+        let Some(naive) = naive_terms(&agent, &slots, &drawn, &online, &target) else {
             return Err(TestCaseError::reject("it hangs on the last bits"));
         };
         let x: Vec<f32> = naive.iter().flat_map(|t| t.obs.iter().map(|v| v / 4.0)).collect();
@@ -172,7 +199,8 @@ proptest! {
         let loss: Loss = agent.settings.loss;
         let (loss, expected) = loss_and_gradient(network.layout(), network.online(), &samples, loss).unwrap();
         let share: f64 = weights.iter().map(|&w| f64::from(w)).sum::<f64>() / 8.0;
-        prop_assert!((share - 1.0).abs() < 1e-5, "the weights of a sample add up to 1: {}", share);
+        let expected_share = if combine == "beside" { 1.0 + stats.mentor_frac() } else { 1.0 };
+        prop_assert!((share - expected_share).abs() < 1e-5, "the weights of a sample: {}", share);
         prop_assert!((stats.loss_sum - f64::from(loss)).abs() < 1e-4 * (1.0 + stats.loss_sum), "{} {loss}", stats.loss_sum);
         let largest = expected.iter().fold(1e-2f32, |max, g| max.max(g.abs()));
         for (at, (got, expected)) in grad.iter().zip(&expected).enumerate() {

@@ -39,7 +39,7 @@ pub struct Sizes {
     pub network: Vec<u32>,
     /// Words of a batch.
     pub batch_words: usize,
-    /// Parameters of the network.
+    /// Parameters of the network, and the entries of the guide behind them.
     pub weights: usize,
     /// Transitions of the demonstration; 0 without a mentor.
     pub mentor_len: usize,
@@ -49,7 +49,7 @@ impl Sizes {
     /// The sizes of `plan`'s messages.
     pub fn of(plan: &RunPlan) -> Self {
         let network = plan.sizes();
-        let weights = network.windows(2).map(|w| w[0] * w[1] + w[1]).sum();
+        let weights = network.windows(2).map(|w| w[0] * w[1] + w[1]).sum::<usize>() + plan.guide_len();
         Self {
             actors: plan.config.run.actors as usize,
             obs_dim: plan.spec.obs_dim(),

@@ -5,9 +5,8 @@
 //! KL(a, b) = ½ (a - b)ᵀ Σ⁻¹ (a - b). States are *whitened* once, y = L⁻¹ x with L Lᵀ = Σ, after which it is half the
 //! squared Euclidean distance of whitened states, and exact Euclidean indexes apply.
 
-use crate::demonstration::Demonstration;
-use crate::gaussian::{GaussianError, cholesky, solve_lower};
-use trestle_proto::config::CovarianceKind;
+use super::gaussian::{GaussianError, cholesky, solve_lower};
+use crate::config::CovarianceKind;
 
 /// Whitened features are kept within this distance of 0, so that no distance is ever NaN.
 const WHITENED_MAX: f64 = 1e18;
@@ -23,13 +22,13 @@ pub enum MetricError {
         /// Its standard deviation.
         sigma: f64,
     },
-    /// Demonstration and environment differ in the number of features.
-    #[error("the demonstration's states have {found} features; accepted: {expected}, as the environment's")]
+    /// States that are not whole.
+    #[error("{found} numbers are no whole states of the environment's {dim} features")]
     Dim {
-        /// Features of the demonstration.
+        /// Numbers of all states.
         found: usize,
         /// Features of the environment.
-        expected: usize,
+        dim: usize,
     },
     /// The full covariance has no Cholesky factor.
     #[error(transparent)]
@@ -54,32 +53,33 @@ enum Whitener {
 impl Metric {
     /// The metric of a configuration.
     ///
-    /// `scale` are the environment's feature scales, the standard deviations of [`CovarianceKind::Space`]. For
+    /// `states` are all mentor states, row-major. `scale` are the environment's feature scales, the standard deviations of [`CovarianceKind::Space`]. For
     /// [`CovarianceKind::Demonstration`] they are the larger of `sigma_floor` and what the demonstration's states
     /// show; for [`CovarianceKind::Full`] `sigma_floor`² is added to every variance, so that a constant feature
     /// divides nothing by 0.
     ///
     /// # Errors
-    /// Scales out of range, dimensions that differ, a full covariance that is not positive definite.
+    /// Scales out of range, states that are not whole, a full covariance that is not positive definite.
     pub fn from_config(
         kind: CovarianceKind,
         sigma_floor: f64,
         scale: &[f32],
-        demo: &Demonstration,
+        states: &[f32],
     ) -> Result<Self, MetricError> {
-        if demo.dim() != scale.len() {
-            return Err(MetricError::Dim { found: demo.dim(), expected: scale.len() });
+        let dim = scale.len();
+        if !states.len().is_multiple_of(dim) {
+            return Err(MetricError::Dim { found: states.len(), dim });
         }
         match kind {
             CovarianceKind::Space => Self::diagonal(&scale.iter().map(|&s| f64::from(s)).collect::<Vec<_>>()),
             CovarianceKind::Demonstration => {
-                let variance = covariance(demo.states(), demo.dim(), true);
+                let variance = covariance(states, dim, true);
                 Self::diagonal(&variance.iter().map(|v| v.sqrt().max(sigma_floor)).collect::<Vec<_>>())
             }
             CovarianceKind::Full => {
-                let mut sigma = covariance(demo.states(), demo.dim(), false);
-                sigma.iter_mut().step_by(demo.dim() + 1).for_each(|v| *v += sigma_floor * sigma_floor);
-                Self::full(&sigma, demo.dim())
+                let mut sigma = covariance(states, dim, false);
+                sigma.iter_mut().step_by(dim + 1).for_each(|v| *v += sigma_floor * sigma_floor);
+                Self::full(&sigma, dim)
             }
         }
     }
@@ -165,18 +165,12 @@ fn covariance(states: &[f32], dim: usize, diagonal: bool) -> Vec<f64> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::gaussian::kl_gaussians;
+    use crate::similarity::gaussian::kl_gaussians;
     use proptest::prelude::*;
-
-    fn demo(states: &[f32], dim: usize) -> Demonstration {
-        let mut demo = Demonstration::new((0..dim).map(|i| format!("s{i}")).collect()).unwrap();
-        demo.push_trajectory(states, false).unwrap();
-        demo
-    }
 
     #[test]
     fn scales_floor_and_estimates() {
-        let demo = demo(&[0.0, 7.0, 4.0, 7.0], 2);
+        let demo = [0.0, 7.0, 4.0, 7.0];
         let whitened = |kind| {
             let metric = Metric::from_config(kind, 0.5, &[2.0, 4.0], &demo).unwrap();
             metric.whiten_all(&[8.0, 8.0])
@@ -192,12 +186,11 @@ mod tests {
     fn refusals_name_the_feature() {
         assert!(Metric::diagonal(&[1.0, 0.0]).unwrap_err().to_string().starts_with("feature 1"));
         assert!(Metric::diagonal(&[f64::NAN]).is_err());
-        let error =
-            Metric::from_config(CovarianceKind::Space, 1.0, &[1.0; 3], &demo(&[0.0; 4], 2)).unwrap_err();
-        assert_eq!(error, MetricError::Dim { found: 2, expected: 3 });
+        let error = Metric::from_config(CovarianceKind::Space, 1.0, &[1.0; 3], &[0.0; 4]).unwrap_err();
+        assert_eq!(error, MetricError::Dim { found: 4, dim: 3 });
         // Two features that move together, and a floor too small for double precision.
         let line: Vec<f32> = (0..40).map(|i| (i / 2) as f32 * 1e3).collect();
-        let error = Metric::from_config(CovarianceKind::Full, 1e-9, &[1.0; 2], &demo(&line, 2)).unwrap_err();
+        let error = Metric::from_config(CovarianceKind::Full, 1e-9, &[1.0; 2], &line).unwrap_err();
         assert!(error.to_string().contains("not positive definite"), "{error}");
     }
 

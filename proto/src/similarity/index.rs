@@ -3,9 +3,8 @@
 //! Mentor states never change, so the index is built once. All states are in it, also the last of each trajectory:
 //! they begin no transition, but a bridge may end there.
 
-use crate::demonstration::Order;
-use crate::metric::kl;
-use crate::tree::Tree;
+use super::metric::kl;
+use super::tree::Tree;
 
 /// A mentor state that is similar to the state asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,32 +67,12 @@ impl Similarity {
     }
 }
 
-/// The transitions that begin in one of `hits`, each with the KL divergence of its first state, in the order of `hits`.
-pub fn transitions<'a>(hits: &'a [Hit], order: &'a Order) -> impl Iterator<Item = (usize, f32)> + 'a {
-    hits.iter().filter_map(|hit| Some((order.transition_of(hit.state as usize)?, hit.kl)))
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::demonstration::Demonstration;
-    use crate::testing::{cases, points};
+    use crate::similarity::testing::{cases, points};
     use proptest::prelude::*;
-
-    #[test]
-    fn last_states_are_found_but_begin_nothing() {
-        let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
-        demo.push_trajectory(&[0.0, 1.0], true).unwrap();
-        demo.push_trajectory(&[1.0, 0.0], true).unwrap();
-        let index = Similarity::new(demo.states().to_vec(), 1, 0.5);
-        let (mut hits, order) = (Vec::new(), demo.order());
-        index.states(&[0.25], &mut Vec::new(), &mut hits);
-        assert_eq!(hits.iter().map(|h| h.state).collect::<Vec<_>>(), [0, 1, 2, 3]);
-        assert_eq!(transitions(&hits, &order).collect::<Vec<_>>(), [(0, 0.03125), (1, 0.28125)]);
-        index.states(&[2.5], &mut Vec::new(), &mut hits);
-        assert_eq!(hits, []);
-    }
 
     proptest! {
         #![proptest_config(cases(256))]

@@ -67,7 +67,7 @@ pub fn solve_lower(factor: &[f64], x: &mut [f64]) {
 /// KL(N0 ‖ N1) of two multivariate normals, in nats:
 /// ½ [ tr(Σ1⁻¹ Σ0) + (μ1 - μ0)ᵀ Σ1⁻¹ (μ1 - μ0) - d + ln det Σ1 - ln det Σ0 ].
 ///
-/// With Σ0 = Σ1 the trace is d and the determinants cancel, which leaves the state distance ([`crate::metric`]).
+/// With Σ0 = Σ1 the trace is d and the determinants cancel, which leaves the state distance ([`super::metric`]).
 ///
 /// # Errors
 /// Sizes that do not fit, or a covariance that is not positive definite.

@@ -1,5 +1,5 @@
-//! A static tree of bounding boxes over points in Euclidean space, the index behind [`crate::similarity`] and
-//! [`crate::inference`].
+//! A static tree of bounding boxes over points in Euclidean space, the index behind [`super::Similarity`] and
+//! action inference.
 //!
 //! The points are sorted by repeated halving along the widest side of their box and never move. Halving is by
 //! position, not by value, so any number of equal points is as good as any other set. Boxes only rule out what cannot
@@ -94,7 +94,7 @@ impl Tree {
     }
 
     /// A lower bound of the KL divergence (half the squared distance) of the point `query`, followed by `more`, to every
-    /// point of node `at`, as [`crate::metric::kl`] would compute it in whatever order of summation.
+    /// point of node `at`, as [`super::metric::kl`] would compute it in whatever order of summation.
     pub fn lower_bound(&self, at: usize, query: &[f32], more: &[f32]) -> f32 {
         let (low, high) = self.bounds(at);
         let square = |((&x, &l), &h): ((&f32, &f32), &f32)| {
@@ -126,8 +126,8 @@ impl Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metric::kl;
-    use crate::testing::{cases, points};
+    use crate::similarity::metric::kl;
+    use crate::similarity::testing::{cases, points};
     use proptest::prelude::*;
 
     proptest! {

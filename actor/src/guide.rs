@@ -1,0 +1,62 @@
+//! Guided exploration (ours, not the paper's): the action that is known for the mentor state nearest to where the actor
+//! is.
+//!
+//! The mentor's states come with the plan and never change. What the observer has found out about them does, and is
+//! published with the weights: a table with one entry for each mentor transition, the action that the mentor's loss of
+//! it would use, or -1.
+
+use trestle_proto::NONE;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::similarity::metric::{Metric, MetricError};
+use trestle_proto::similarity::{Hit, Similarity};
+
+/// The mentor's states, indexed as the mentor-server does it.
+pub struct Guide {
+    metric: Metric,
+    similarity: Similarity,
+    transition_of: Vec<u32>,
+    whitened: Vec<f32>,
+    scratch: Vec<f64>,
+    stack: Vec<u32>,
+    hits: Vec<Hit>,
+}
+
+impl Guide {
+    /// The guide of `plan`'s run; none without guided exploration.
+    ///
+    /// # Errors
+    /// Settings that give no state distance.
+    pub fn new(plan: &RunPlan) -> Result<Option<Self>, MetricError> {
+        let mentor = &plan.config.mentor;
+        let (Some(waypoints), Some(e_th)) = (&plan.waypoints, mentor.e_th.known()) else { return Ok(None) };
+        if !plan.config.guided() {
+            return Ok(None);
+        }
+        let scale = &plan.spec.scale;
+        let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, scale, &waypoints.states)?;
+        let whitened = metric.whiten_all(&waypoints.states);
+        Ok(Some(Self {
+            similarity: Similarity::new(whitened, metric.dim(), e_th as f32),
+            metric,
+            transition_of: waypoints.transition_of.clone(),
+            whitened: Vec::new(),
+            scratch: Vec::new(),
+            stack: Vec::new(),
+            hits: Vec::new(),
+        }))
+    }
+
+    /// The entry in `actions` of the mentor state nearest to `obs` among the similar ones that have one; the first of
+    /// equally near ones. None without any.
+    pub fn action(&mut self, obs: &[f32], actions: &[f32]) -> Option<u32> {
+        self.whitened.clear();
+        self.metric.whiten(obs, &mut self.scratch, &mut self.whitened);
+        self.similarity.states(&self.whitened, &mut self.stack, &mut self.hits);
+        let known = self.hits.iter().filter_map(|hit| {
+            let j = self.transition_of[hit.state as usize];
+            let action = *actions.get(j as usize).filter(|_| j != NONE)?;
+            (action >= 0.0).then_some((hit.kl, action as u32))
+        });
+        known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, action)| action)
+    }
+}

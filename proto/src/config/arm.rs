@@ -1,0 +1,67 @@
+//! What a run is called: its algorithm, and what it has that the paper's has not.
+
+use super::{CombineKind, Config, DrawKind, SelectionKind};
+
+impl Config {
+    /// Whether exploration follows what is known of the mentor's actions; never with `dqn`.
+    pub fn guided(&self) -> bool {
+        let e = &self.exploration;
+        self.run.algo.has_mentor() && (e.guide_start > 0.0 || e.guide_end > 0.0)
+    }
+
+    /// Whether rewards are shaped.
+    pub fn shaped(&self) -> bool {
+        self.shaping.potential > 0.0
+    }
+
+    /// Whether a demonstration is needed, be it for a mentor-server or not.
+    pub fn needs_demonstration(&self) -> bool {
+        self.run.algo.has_mentor() || self.shaped()
+    }
+
+    /// Whether actors or learner need the mentor's states themselves.
+    pub fn needs_waypoints(&self) -> bool {
+        self.guided() || self.shaped()
+    }
+
+    /// The name of the algorithm in results: that of `run.algo`, with a suffix for each extension of ours that is
+    /// switched on, so that none can be taken for the paper's.
+    pub fn arm(&self) -> String {
+        let (mentor, with) = (&self.mentor, self.run.algo.has_mentor());
+        let suffixes = [
+            (with && mentor.selection == SelectionKind::Always, "+always"),
+            (with && mentor.combine == CombineKind::Beside, "+beside"),
+            (with && mentor.draw == DrawKind::Uniform, "+uniform"),
+            (with && mentor.one_sided, "+one-sided"),
+            (self.guided(), "+guided"),
+            (self.shaped(), "+shaped"),
+        ];
+        let on = suffixes.iter().filter(|(on, _)| *on).map(|(_, suffix)| *suffix);
+        std::iter::once(self.run.algo.name()).chain(on).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use crate::config::load;
+
+    fn arm(sets: &[&str]) -> String {
+        load("maze30", &sets.iter().map(ToString::to_string).collect::<Vec<_>>()).unwrap().arm()
+    }
+
+    #[test]
+    fn extensions_are_named_where_they_act() {
+        assert_eq!(arm(&["run.algo=diiqn", "mentor.selection=min-distance"]), "diiqn");
+        let all = [
+            "exploration.guide_start=0.5",
+            "mentor.selection=always",
+            "mentor.combine=beside",
+            "mentor.draw=uniform",
+            "mentor.one_sided=true",
+        ];
+        assert_eq!(arm(&all), "ha-diiqn+always+beside+uniform+one-sided+guided");
+        assert_eq!(arm(&[&all[..], &["run.algo=dqn"]].concat()), "dqn");
+        assert_eq!(arm(&["run.algo=dqn", "shaping.potential=2"]), "dqn+shaped");
+    }
+}
