@@ -6,6 +6,7 @@ use crate::sweep::over::Over;
 use crate::sweep::seeds::Seeds;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use trestle_mentor_server::import::{Columns, Episodes};
 
 /// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
 #[derive(Debug, Parser)]
@@ -197,18 +198,95 @@ pub(crate) enum Demo {
         #[arg(long)]
         overwrite: bool,
     },
+    /// Record greedy episodes of a run's newest checkpoint: their states, never their actions
+    Record(Record),
+    /// Take the states from a file or data set of others: Minari (HDF5, Arrow), D4RL (HDF5), CSV, NPY
+    Import(Import),
     /// Describe a demonstration and how it meets a configuration's thresholds
-    Inspect {
-        /// A CSV file of states, or a run's directory
-        #[arg(value_name = "FILE|RUN")]
-        demo: PathBuf,
-        /// The configuration whose metric and thresholds apply (a run's own, or `maze30`, if not given)
-        #[arg(long, value_name = "PRESET|CONFIG.TOML")]
-        config: Option<String>,
-        /// Override one setting of it; may be repeated
-        #[arg(long = "set", value_name = "KEY=VALUE")]
-        sets: Vec<String>,
-    },
+    Inspect(Inspect),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Inspect {
+    /// A CSV file of states, or a run's directory
+    #[arg(value_name = "FILE|RUN")]
+    pub(crate) demo: PathBuf,
+    /// The configuration whose metric, thresholds and map apply (a run's own, or none, if not given)
+    #[arg(long, value_name = "PRESET|CONFIG.TOML")]
+    pub(crate) config: Option<String>,
+    /// Override one setting of it; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) sets: Vec<String>,
+    /// The two features that are drawn, by their places: `0,1`
+    #[arg(long, value_name = "X,Y", value_parser = axes)]
+    pub(crate) axes: Option<[usize; 2]>,
+    /// Draw the trajectories into this SVG file as well
+    #[arg(long, value_name = "FILE")]
+    pub(crate) svg: Option<PathBuf>,
+    /// Replace the SVG file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+/// `X,Y`.
+fn axes(text: &str) -> Result<[usize; 2], String> {
+    let parsed =
+        text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    parsed.ok_or_else(|| "accepted: two whole numbers, such as 0,1".into())
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Record {
+    /// A run's directory
+    #[arg(value_name = "RUN")]
+    pub(crate) run: PathBuf,
+    /// Greedy episodes to play; those that repeat an earlier one are recorded once
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub(crate) episodes: u32,
+    /// The file to write
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// Record episodes that do not reach the goal as well
+    #[arg(long)]
+    pub(crate) all: bool,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Import {
+    /// A file, or the folder of a Minari data set; what it is is seen from its contents
+    #[arg(value_name = "FILE|FOLDER")]
+    pub(crate) file: PathBuf,
+    /// The file to write
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// Part of the observations where they are a dictionary, such as `observation` or `robot/position`
+    #[arg(long, value_name = "KEY")]
+    pub(crate) key: Option<String>,
+    /// Features to take, in this order: `0..4`, `0,1,4..6`, or names of CSV columns; all if not given
+    #[arg(long, value_name = "COLUMNS")]
+    pub(crate) columns: Option<Columns>,
+    /// Episodes to take, from 0: `0..3` are the first three; all if not given
+    #[arg(long, value_name = "FROM..TO")]
+    pub(crate) episodes: Option<Episodes>,
+    /// Which trajectories end in a terminal state, one without a value
+    #[arg(long, value_enum, default_value_t = Ends::Recorded)]
+    pub(crate) ends: Ends,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Ends {
+    /// Those that the source says were terminated
+    Recorded,
+    /// All
+    Terminal,
+    /// None
+    CutOff,
 }
 
 #[derive(Debug, Subcommand)]

@@ -9,6 +9,7 @@ mod bench;
 mod commands;
 mod concurrency;
 mod decoders;
+mod demonstrations;
 mod determinism;
 mod doctor;
 mod errors;

@@ -1,0 +1,29 @@
+//! `trestle demo import`
+
+use super::{free, report};
+use crate::cli::{Ends, Import};
+use anyhow::Result;
+use trestle_mentor_server::demo_file;
+use trestle_mentor_server::import::{self, Options, import};
+
+pub(super) fn run(args: &Import) -> Result<()> {
+    free(&args.out, args.overwrite)?;
+    let options = Options {
+        key: args.key.clone(),
+        columns: args.columns.clone(),
+        episodes: args.episodes.clone(),
+        ends: match args.ends {
+            Ends::Recorded => import::Ends::Recorded,
+            Ends::Terminal => import::Ends::Terminal,
+            Ends::CutOff => import::Ends::CutOff,
+        },
+    };
+    let imported = import(&args.file, &options)?;
+    let demonstration = &imported.demonstration;
+    demo_file::write(&args.out, demonstration)?;
+    outln!("{}, {}", args.file.display(), imported.format);
+    for note in &imported.notes {
+        outln!("note: {note}");
+    }
+    report(&args.out, demonstration)
+}

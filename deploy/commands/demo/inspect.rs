@@ -1,0 +1,71 @@
+//! `trestle demo inspect`
+
+use super::picture::Picture;
+use super::{free, meet};
+use crate::cli::Inspect;
+use anyhow::{Context, Result};
+use std::fs;
+use trestle_actor::env::draw;
+use trestle_mentor_server::demo_file;
+use trestle_mentor_server::demonstration::Demonstration;
+use trestle_proto::similarity::metric::Metric;
+use trestle_mentor_server::summary::summarise;
+use trestle_proto::config::{self, CovarianceKind, Demos, EnvKind, Mentor};
+use trestle_proto::rundir::RunDir;
+
+pub(super) fn run(args: &Inspect) -> Result<()> {
+    if let Some(svg) = &args.svg {
+        free(svg, args.overwrite)?;
+    }
+    let dir = RunDir::new(&args.demo);
+    let (file, own) = if args.demo.is_dir() {
+        (dir.demonstration(), Some(dir.config().display().to_string()))
+    } else {
+        (args.demo.clone(), None)
+    };
+    match args.config.as_ref().or(own.as_ref()) {
+        Some(name) => {
+            let mut config = config::load(name, &args.sets)?;
+            config.mentor.demo = Demos::one(file.display().to_string());
+            let resolved = meet(config)?;
+            let mentors = resolved.mentors.as_ref().context("the configuration has no mentor")?;
+            outln!("{} with the settings of {name}", file.display());
+            outln!("{}", mentors.summary.to_string().trim_end());
+            let mentor = &resolved.config.mentor;
+            outln!("thresholds    mentor.e_th {}, mentor.e_infeas {}", mentor.e_th, mentor.e_infeas);
+            for warning in resolved.warnings() {
+                outln!("warning: {warning}");
+            }
+            let env = &resolved.config.env;
+            let drawn = draw(env, &[(mentors.all.states(), 'm')])?;
+            // The second feature of a maze is a row.
+            picture(args, &mentors.all, env.kind == EnvKind::Maze, Some(drawn))
+        }
+        None => {
+            let demonstration = demo_file::read(&file)?;
+            let Mentor { n, sigma_floor, .. } = Mentor::default();
+            let scale = vec![1.0; demonstration.dim()];
+            let metric =
+                Metric::from_config(CovarianceKind::Demonstration, sigma_floor, &scale, demonstration.states())?;
+            outln!("{} by itself, KL in standard deviations of its own features", file.display());
+            outln!("{}", summarise(&demonstration, &metric, n as usize).to_string().trim_end());
+            outln!("With --config PRESET|CONFIG.TOML: the metric of that, its thresholds and its map");
+            picture(args, &demonstration, false, None)
+        }
+    }
+}
+
+/// Draws on the terminal, on the map `drawn` where there is one and no axes are asked for, and into a file; `down` if
+/// the second feature grows downwards.
+fn picture(args: &Inspect, demonstration: &Demonstration, down: bool, drawn: Option<String>) -> Result<()> {
+    let picture = Picture::new(demonstration, args.axes, down)?;
+    match drawn {
+        Some(map) if args.axes.is_none() => outln!("{map}"),
+        _ => outln!("{}", picture.text()),
+    }
+    if let Some(svg) = &args.svg {
+        fs::write(svg, picture.svg()).with_context(|| format!("cannot write {}", svg.display()))?;
+        outln!("drawing       {}", svg.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,83 @@
+//! `trestle demo record`
+
+use super::{free, report};
+use crate::cli::Record;
+use anyhow::{Context, Result, ensure};
+use trestle_actor::worker::Worker;
+use trestle_learner::checkpoint;
+use trestle_mentor_server::demo_file;
+use trestle_mentor_server::demonstration::Demonstration;
+use trestle_proto::logging;
+use trestle_proto::rundir::RunDir;
+use trestle_proto::tick::{EVALUATE, Tick};
+
+/// The evaluation whose stream of resets the first episode draws from; the others count down from it. Those of training
+/// count up from 0, and `trestle eval` has the one above.
+const FIRST_EVALUATION: u64 = u64::MAX - 1;
+
+pub(super) fn run(args: &Record) -> Result<()> {
+    logging::init(0, "record", "warn");
+    free(&args.out, args.overwrite)?;
+    let dir = RunDir::new(&args.run);
+    let plan = dir.read_plan()?;
+    let (tick, path) = checkpoint::newest_complete(dir.root())?
+        .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
+    let (layout, _) = trestle_qnet::network_of(&plan)?;
+    let weights = checkpoint::load_model(&path, &layout)?;
+    let mut worker = Worker::new(&plan, 0)?;
+
+    let mut demonstration = Demonstration::new((0..plan.spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
+    let (mut reached, mut repeated, mut total, mut steps) = (0_u32, 0_u32, 0.0, 0);
+    for episode in 0..args.episodes {
+        let evaluation = FIRST_EVALUATION - u64::from(episode);
+        let tick = Tick { run: plan.run, tick, evaluation, kind: EVALUATE, amount: 1, ..Tick::default() };
+        let played = worker.evaluate(&weights, &tick)?;
+        let played = played.episodes.first().context("an evaluation without an episode")?;
+        total += played.total_reward;
+        steps += played.length;
+        reached += u32::from(played.success);
+        if !(played.success || args.all) {
+            continue;
+        }
+        ensure!(
+            !played.path.is_empty(),
+            "episode {episode} has {} steps, too many to record; accepted: fewer, as env.step_limit makes them",
+            played.length
+        );
+        if holds(&demonstration, &played.path, played.success) {
+            repeated += 1;
+        } else {
+            demonstration.push_trajectory(&played.path, played.success)?;
+        }
+    }
+    let n = f64::from(args.episodes);
+    let figures = format!(
+        "{reached} of {} greedy episodes reach the goal, mean return {:.3}, mean steps {:.1}",
+        args.episodes,
+        total / n,
+        steps as f64 / n
+    );
+    ensure!(
+        demonstration.n_trajectories() > 0,
+        "{}: {figures}, with checkpoint {}; accepted: a run that reaches it, or --all to record what it does instead",
+        args.run.display(),
+        path.display()
+    );
+    demo_file::write(&args.out, &demonstration)?;
+    outln!("{}, checkpoint {}", plan.spec.name, path.display());
+    outln!("{figures}");
+    if repeated > 0 {
+        outln!("note: {repeated} episodes that repeat an earlier one state by state left out");
+    }
+    report(&args.out, &demonstration)
+}
+
+/// Whether `demonstration` has a trajectory of just these states.
+fn holds(demonstration: &Demonstration, path: &[f32], terminal: bool) -> bool {
+    let dim = demonstration.dim();
+    (0..demonstration.n_trajectories()).any(|i| {
+        let states = demonstration.trajectory(i);
+        demonstration.terminal(i) == terminal
+            && demonstration.states()[states.start * dim..states.end * dim] == *path
+    })
+}
