@@ -121,3 +121,65 @@ fn a_client_gets_sound_answers_and_the_run_does_not_notice() {
     assert_gone(&dir);
     assert_eq!(Trace::of(&dir), undisturbed);
 }
+
+/// Several clients at once, one that never waits for its answers and one that leaves in the middle of a question: every
+/// patient one gets sound answers within its deadline, and the run does not notice.
+#[test]
+fn clients_do_not_harm_each_other() {
+    let place = Place::new();
+    let undisturbed = place.train("alone", &ARGS);
+    let mut run = start(&place.training("asked", &ARGS));
+    let dir = place.run("asked");
+    let asker = || {
+        let plan = dir.read_plan().ok()?;
+        let client = QueryClient::new(&domain(&dir), &plan).ok()?;
+        Some(Asker { client, plan, answer: Vec::new() })
+    };
+    run.wait_for("the mentor-server", || {
+        asker().is_some_and(|mut asker| asker.ask(STATS, 0, 0, &[]).is_ok())
+    });
+
+    let patient = || {
+        let mut asker = asker().unwrap();
+        let len = asker.plan.mentor_len() as u32;
+        let mut transitions = MentorTransitions::new(2);
+        asker.ask(TRANSITIONS, 0, len, &[]).unwrap();
+        transitions.decode(&asker.answer).unwrap();
+        let mut rounds = 0;
+        // The first fault is the end of the run, and must not come before.
+        let fault = loop {
+            match asker.round(&transitions) {
+                Ok(_) => rounds += 1,
+                Err(fault) => break fault,
+            }
+        };
+        assert!(wait_until(LIMIT, || dir.result().exists()), "{fault} after {rounds} rounds");
+        rounds
+    };
+    let impatient = || {
+        let mut questions = 0;
+        while let Some(asker) = asker() {
+            // The last of these leaves with its question unanswered.
+            for _ in 0..5 {
+                let request = QueryRequest { op: STATS, obs_dim: 2, ..QueryRequest::default() };
+                let asked = asker.client.ask(&request, &[], &mut Vec::new(), Duration::ZERO);
+                questions += u32::from(matches!(asked, Ok(_) | Err(LinkError::Deadline { .. })));
+            }
+            if dir.result().exists() {
+                break;
+            }
+        }
+        questions
+    };
+    std::thread::scope(|scope| {
+        let patient: Vec<_> = (0..3).map(|_| scope.spawn(patient)).collect();
+        let impatient = scope.spawn(impatient);
+        for client in patient {
+            assert!(client.join().unwrap() > 5);
+        }
+        assert!(impatient.join().unwrap() > 5);
+    });
+    run.finish().ok();
+    assert_gone(&dir);
+    assert_eq!(Trace::of(&dir), undisturbed);
+}
