@@ -1,7 +1,8 @@
 //! A run's outcome is a function of its configuration and its seed.
 
-use crate::util::{Place, Trace, assert_gone, available, start_under};
+use crate::util::{Place, Trace, assert_gone, available, start, start_under};
 use std::fs;
+use trestle_qnet::Isa;
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "10000", "--seed", "11"];
 
@@ -41,6 +42,24 @@ fn one_actor() {
     let seed_12 = place.train("other", &["maze-small", "--env-steps", "10000", "--seed", "12"]);
     assert_ne!(seed_12.weights_sha256, seed_11.weights_sha256);
     assert_ne!(seed_12.episodes, seed_11.episodes);
+}
+
+#[test]
+fn every_instruction_set() {
+    let place = Place::new();
+    let args = ["maze-small", "--env-steps", "1500", "--seed", "5"];
+    let auto = place.train("auto", &args);
+    assert!(auto.result.grad_steps > 500, "{:?}", auto.result);
+    for isa in Isa::ALL {
+        let (name, set) = (isa.to_string(), format!("run.isa={isa}"));
+        let forced = [&args[..], &["--set", &set]].concat();
+        if isa.is_available() {
+            assert_eq!(place.train(&name, &forced), auto, "{isa}");
+        } else {
+            start(&place.training(&name, &forced)).finish().refused(&["run.isa", &name, "auto", "scalar"]);
+            assert!(!place.root().join(&name).exists());
+        }
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use rand::RngCore;
 use trestle_proto::rng::Stream;
-use trestle_qnet::{Encoding, Layout, Workspace, argmax, forward};
+use trestle_qnet::{Encoding, Kernels, Layout, Workspace, argmax, forward};
 
 /// The policy's network and scratch memory. The parameters are the caller's, so that new weights need no copy here.
 pub struct Policy {
@@ -16,10 +16,10 @@ pub struct Policy {
 impl Policy {
     /// A policy whose network has `layout` and sees observations through `encoding`; they must fit each other
     /// (`encoding.input_dim() == layout.input()`). All memory is allocated here.
-    pub fn new(layout: Layout, encoding: Encoding) -> Self {
+    pub fn new(layout: Layout, encoding: Encoding, kernels: Kernels) -> Self {
         debug_assert_eq!(encoding.input_dim(), layout.input());
         Self {
-            workspace: Workspace::new(&layout, 1),
+            workspace: Workspace::with_kernels(&layout, 1, kernels),
             input: vec![0.0; layout.input()],
             values: vec![0.0; layout.output()],
             layout,
@@ -97,7 +97,7 @@ mod tests {
     /// A policy over one feature in 0..=4 with three actions, and parameters that value action i at `bias[i]`.
     fn policy(bias: [f32; 3]) -> (Policy, Vec<f32>) {
         let encoding = Encoding::OneHot { low: vec![0.0], sizes: vec![5] };
-        let policy = Policy::new(Layout::new(&[5, 3]).unwrap(), encoding);
+        let policy = Policy::new(Layout::new(&[5, 3]).unwrap(), encoding, Kernels::detect());
         let mut params = vec![0.0; policy.n_params()];
         params[15..].copy_from_slice(&bias);
         (policy, params)

@@ -16,7 +16,7 @@ use trestle_proto::schedule;
 use trestle_proto::similarity::metric::MetricError;
 use trestle_proto::space::reported;
 use trestle_proto::tick::Tick;
-use trestle_qnet::{PlanError, network_of};
+use trestle_qnet::{PlanError, kernels_of, network_of};
 
 const KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
 
@@ -150,7 +150,7 @@ impl Worker {
             index,
             seed: run.seed,
             exploration: plan.config.exploration.clone(),
-            policy: Policy::new(layout, encoding),
+            policy: Policy::new(layout, encoding, kernels_of(plan)?),
             guide: Guide::new(plan)?,
             guide_len: plan.guide_len(),
             env,

@@ -159,7 +159,9 @@ fn meet(mut config: Config) -> Result<Resolved> {
         None
     };
     let resolved = Resolved { config, spec, mentors };
-    trestle_qnet::network_of(&resolved.plan(0, None))?;
+    let plan = resolved.plan(0, None);
+    trestle_qnet::network_of(&plan)?;
+    trestle_qnet::kernels_of(&plan)?;
     Ok(resolved)
 }
 

@@ -7,7 +7,7 @@
 //! * [`forward`], [`forward_train`], [`backward()`]: values, and the gradient of any weighted sum of them;
 //! * [`Loss`], [`Adam`], [`clip_grad_norm`]: what turns values and targets into the next parameters;
 //! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
-//! * [`network_of`]: the shape that a run's plan asks for;
+//! * [`network_of`], [`kernels_of`]: the shape and the instruction set that a run's plan asks for;
 //! * [`autodiff`]: the same loss and gradient through candle's automatic differentiation.
 //!
 //! The arithmetic lives in [`kernels`], which picks an instruction set at run time and gives the same bits on
@@ -35,4 +35,4 @@ pub use layout::{Layer, Layout, LayoutError, init};
 pub use loss::{Loss, LossError};
 pub use net::{Workspace, argmax, forward, forward_train};
 pub use qnetwork::{NetworkError, QNetwork};
-pub use run::{PlanError, network_of};
+pub use run::{PlanError, kernels_of, network_of};

@@ -71,6 +71,12 @@ impl QNetwork {
         Ok(QNetwork { layout, kernels: Kernels::detect(), online, target, online_handle, target_handle })
     }
 
+    /// The same network, computed with `kernels` instead of the fastest ones of this machine.
+    pub fn with_kernels(mut self, kernels: Kernels) -> QNetwork {
+        self.kernels = kernels;
+        self
+    }
+
     /// The layout of both networks.
     pub fn layout(&self) -> &Layout {
         &self.layout

@@ -1,8 +1,9 @@
-//! From a run's plan to the shape of its network and the encoding of its input.
+//! From a run's plan to the shape of its network, the encoding of its input, and the kernels that compute it.
 
 use crate::encode::{Encoding, EncodingError};
+use crate::kernels::{Isa, Kernels};
 use crate::layout::{Layout, LayoutError};
-use trestle_proto::config::EncodingKind;
+use trestle_proto::config::{EncodingKind, IsaKind};
 use trestle_proto::plan::RunPlan;
 
 /// A plan that gives no network.
@@ -20,6 +21,14 @@ pub enum PlanError {
         /// Name of the environment.
         env: String,
     },
+    /// An instruction set that this machine lacks.
+    #[error("run.isa = {asked}; accepted on this machine: auto, {available}")]
+    Isa {
+        /// The instruction set.
+        asked: Isa,
+        /// Those that it has.
+        available: String,
+    },
 }
 
 /// The network of `plan`, and how an observation becomes its input.
@@ -33,4 +42,21 @@ pub fn network_of(plan: &RunPlan) -> Result<(Layout, Encoding), PlanError> {
     };
     encoding.validate()?;
     Ok((Layout::new(&plan.sizes())?, encoding))
+}
+
+/// The kernels that compute the network of `plan`.
+///
+/// # Errors
+/// The machine lacks the instruction set that the plan asks for.
+pub fn kernels_of(plan: &RunPlan) -> Result<Kernels, PlanError> {
+    let asked = match plan.config.run.isa {
+        IsaKind::Auto => Isa::detect(),
+        IsaKind::Avx512 => Isa::Avx512,
+        IsaKind::Avx2 => Isa::Avx2,
+        IsaKind::Scalar => Isa::Scalar,
+    };
+    Kernels::new(asked).ok_or_else(|| {
+        let available: Vec<String> = Isa::available().map(|isa| isa.to_string()).collect();
+        PlanError::Isa { asked, available: available.join(", ") }
+    })
 }

@@ -38,7 +38,7 @@ use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionK
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
-use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, network_of};
+use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
 
 /// The guide's entry of a mentor transition of which no action is known.
 const UNKNOWN: f32 = -1.0;
@@ -146,7 +146,7 @@ impl Agent {
     /// A setting that its user refuses, a demonstration that is not the plan's, or memory that cannot be had.
     pub fn new(plan: &RunPlan, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
         let settings = Settings::new(plan)?;
-        let (layout, encoding) = network_of(plan)?;
+        let ((layout, encoding), kernels) = (network_of(plan)?, kernels_of(plan)?);
         let (obs_dim, n_actions) = (plan.spec.obs_dim(), plan.spec.n_actions());
         let mentor = check_mentor(plan, mentor)?.map(|transitions| MentorSide {
             annotations: AnnotationTable::new(transitions.len(), obs_dim, n_actions),
@@ -158,10 +158,10 @@ impl Agent {
         });
         let seed = plan.config.run.seed;
         let mut acting = init(&layout, &mut stream(seed, Purpose::Weights, 0));
-        let network = QNetwork::new(layout.clone(), &acting)?;
+        let network = QNetwork::new(layout.clone(), &acting)?.with_kernels(kernels);
         acting.resize(acting.len() + plan.guide_len(), UNKNOWN);
         Ok(Self {
-            step: Step::new(&layout, settings.learner.batch),
+            step: Step::new(&layout, settings.learner.batch, kernels),
             adam: Adam::new(layout.n_params()),
             replay: Replay::new(settings.learner.replay, obs_dim)?,
             network,

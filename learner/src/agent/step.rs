@@ -14,7 +14,9 @@ use crate::shaping::Shaping;
 use rand::{Rng, RngCore};
 use trestle_proto::config::{Backend, DrawKind};
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
-use trestle_qnet::{Encoding, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train};
+use trestle_qnet::{
+    Encoding, Kernels, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train,
+};
 
 /// A replay entry and where its rows are.
 #[derive(Clone, Copy, Debug)]
@@ -121,11 +123,11 @@ fn values(q: &[f32], row: usize, n_actions: usize) -> &[f32] {
 
 impl Step {
     /// Memory for batches of up to `batch` samples.
-    pub(super) fn new(layout: &Layout, batch: usize) -> Self {
+    pub(super) fn new(layout: &Layout, batch: usize, kernels: Kernels) -> Self {
         let rows = 2 * batch;
         let values = || vec![0.0; rows * layout.output()];
         Self {
-            workspace: Workspace::new(layout, rows),
+            workspace: Workspace::with_kernels(layout, rows, kernels),
             grad: vec![0.0; layout.n_params()],
             terms: Vec::with_capacity(rows),
             used: Vec::with_capacity(batch),

@@ -62,6 +62,22 @@ pub struct Run {
     pub rollout: u32,
     /// 0: actors wait for the newest weights. 1: they collect with those before, while the learner trains.
     pub lag: u32,
+    /// The instruction set that the network is computed with. All give the same bits.
+    pub isa: IsaKind,
+}
+
+/// Instruction sets of the network's kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum IsaKind {
+    /// The fastest one that the machine has.
+    Auto,
+    /// x86-64 with AVX-512F.
+    Avx512,
+    /// x86-64 with AVX2 and FMA.
+    Avx2,
+    /// Portable code.
+    Scalar,
 }
 
 /// The algorithms.
@@ -399,6 +415,7 @@ impl Default for Run {
             actors: 1,
             rollout: 32,
             lag: 0,
+            isa: IsaKind::Auto,
         }
     }
 }

@@ -7,8 +7,8 @@ use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::config::{CombineKind, DrawKind};
 use trestle_proto::mentor::MentorTransitions;
-use trestle_qnet::Loss;
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
+use trestle_qnet::{Isa, Loss};
 
 /// Q-values of a raw state in f64, layer by layer. None if a ReLU hangs on the last bits.
 fn naive_q(agent: &Agent, params: &[f32], obs: &[f32]) -> Option<Vec<f64>> {
@@ -153,6 +153,7 @@ proptest! {
         draw in prop::sample::select(vec!["similar", "uniform"]),
         one_sided: bool,
         reward in prop::sample::select(vec!["matched", "observer"]),
+        isa in prop::sample::select(Isa::available().collect::<Vec<_>>()),
         double: bool,
         seed in 0u64..1000,
     ) {
@@ -163,6 +164,7 @@ proptest! {
             format!("mentor.one_sided={one_sided}"),
             format!("run.algo={algo}"),
             format!("run.seed={seed}"),
+            format!("run.isa={isa}"),
             format!("learner.loss={loss}"),
             format!("mentor.selection={selection}"),
             format!("mentor.reward={reward}"),
