@@ -27,7 +27,8 @@ impl Agent {
             if !stats.loss_sum.is_finite() {
                 return Err(AgentError::Diverged { what: "the loss", grad_steps });
             }
-            if !self.weights().iter().all(|w| w.is_finite()) {
+            // Without a way out of the loop, so that it runs through whole registers.
+            if !self.weights().iter().fold(true, |finite, w| finite & w.is_finite()) {
                 return Err(AgentError::Diverged { what: "a weight", grad_steps });
             }
         }
