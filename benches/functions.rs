@@ -41,7 +41,7 @@ fn infer(bencher: Bencher<'_, '_>, width: usize) {
 /// A gradient step.
 #[divan::bench(args = SIZES)]
 fn step(bencher: Bencher<'_, '_>, (width, batch): (usize, usize)) {
-    let mut step = GradientStep::new(&sizes(width), batch, Kernels::detect()).unwrap();
+    let mut step = GradientStep::new(&sizes(width), batch, false, Kernels::detect()).unwrap();
     bencher.bench_local(|| step.run());
 }
 

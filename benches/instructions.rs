@@ -40,7 +40,7 @@ fn main() -> Result<()> {
 /// Gradient steps of maze30's network, with AVX2: valgrind does not know AVX-512.
 fn steps(times: u64) -> Result<()> {
     let kernels = Kernels::new(Isa::Avx2).context("this machine has no AVX2 with FMA")?;
-    let mut step = GradientStep::new(&[2, 128, 128, 4], 32, kernels)?;
+    let mut step = GradientStep::new(&[2, 128, 128, 4], 32, false, kernels)?;
     (0..times).try_for_each(|_| step.run())
 }
 

@@ -46,7 +46,7 @@ def peers(step: dict, *others: dict) -> str:
     """The step beside those of other libraries."""
     rows = []
     for row in step["rows"]:
-        if row["isa"] != step["machine"]["isa"]:
+        if row["isa"] != step["machine"]["isa"] or row["algo"] != "dqn":
             continue
         line = {"inputs": row["inputs"], "hidden": row["hidden"], "batch": row["batch"], "us": row["us"]}
         for other in others:
@@ -89,7 +89,7 @@ def against_sb3(report: dict) -> str:
 # Of each table: the measurements that it needs, and how it is made of them.
 TABLES = {
     "step": (["step"], lambda step: measured(step, {
-        "inputs": "inputs", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
+        "algo": "algorithm", "inputs": "inputs", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
         "limit_us": "limit, us", "times_limit": "times the limit", "peak_gflops": "peak, GFLOP/s"})),
     "peers": (["step", "step_torch", "step_jax"], peers),
     "infer": (["infer"], lambda infer: measured(infer, {
@@ -105,6 +105,10 @@ TABLES = {
         "batch": "batch", "ns": "ns a transition", "socket_ns": "Unix socket, ns", "ratio": "ratio"})),
     "weights": (["weights"], lambda weights: measured(weights, {
         "subscribers": "actors", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio"})),
+    "idle": (["idle"], lambda idle: measured(idle, {"role": "process", "cpu_percent": "% of a core"})),
+    "memory": (["memory"], lambda memory: measured(memory, {
+        "algo": "algorithm", "replay": "replay", "processes": "processes", "peak_mb": "at most, MB",
+        "replay_bytes_each": "bytes a stored transition"})),
     "loop": (["loop"], whole_runs),
     "maze30": (["maze30"], against_sb3),
 }

@@ -47,7 +47,7 @@ keep() {
 mkdir -p "$OUT"
 if [[ $measure == yes ]]; then
     cargo build --release
-    for name in step infer replay mentor tick message weights loop; do
+    for name in step infer replay mentor tick message weights idle memory loop; do
         keep "$name" "$TARGET/release/trestle" bench "$name" --json
     done
     if [[ $peers == yes ]]; then

@@ -333,6 +333,10 @@ pub(crate) enum Benchmark {
     Message,
     /// Publications of weights
     Weights,
+    /// What processes use while they wait
+    Idle,
+    /// What the processes of a run hold at most
+    Memory,
     /// Whole runs on maze30
     Loop,
 }

@@ -74,6 +74,17 @@ fn messages() {
 }
 
 #[test]
+fn what_processes_take() {
+    let idle = rows("idle", &[]);
+    assert!(idle.iter().all(|row| row["cpu_percent"].as_f64().unwrap() >= 0.0), "{idle:?}");
+    assert_eq!(distinct(&idle, "role"), 2, "{idle:?}");
+    // Supervisor, learner and actor; with a mentor one more.
+    let memory = rows("memory", &["replay", "peak_mb", "replay_bytes_each"]);
+    let processes: Vec<_> = memory.iter().map(|row| row["processes"].as_u64().unwrap()).collect();
+    assert_eq!(processes, [3, 4], "{memory:?}");
+}
+
+#[test]
 fn whole_runs() {
     let rows = rows("loop", &["env_steps", "steps_per_s"]);
     for algo in ["dqn", "ha-diiqn"] {

@@ -143,14 +143,19 @@ impl Learner {
 }
 
 /// Over iceoryx2, through the very ports that a run uses.
-struct SharedMemory {
+pub(super) struct SharedMemory {
     link: IceoryxLearner,
     learner: Learner,
     peers: Peers,
 }
 
 impl SharedMemory {
-    fn new(setup: Setup) -> Result<Self> {
+    /// The processes at the other end: the actors, then the mentor-server.
+    pub(super) fn peers(&self) -> Vec<u32> {
+        self.peers.children.iter().map(Child::id).collect()
+    }
+
+    pub(super) fn new(setup: Setup) -> Result<Self> {
         let learner = Learner::new(setup)?;
         let mut peers = Peers::new(&learner.plan)?;
         let domain = Domain::create(learner.plan.run)?;

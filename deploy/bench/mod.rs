@@ -2,6 +2,7 @@
 //!
 //! - `step`, `infer`, `replay`, `mentor`: functions, in CPU time of this thread;
 //! - `tick` (with `message` and `weights`): messages, in wall time, with peers that are processes;
+//! - `idle`, `memory`: what processes take while they wait, and at most;
 //! - `run_loop`: whole runs.
 //!
 //! Every figure is a median after a warm-up, and what is to be compared takes turns. `cases` holds what is measured,
@@ -10,7 +11,9 @@
 mod cases;
 mod clock;
 mod exchange;
+mod idle;
 mod infer;
+mod memory;
 mod mentor;
 pub(crate) mod peer;
 mod replay;
@@ -53,6 +56,8 @@ pub(crate) fn run(benchmark: Benchmark, effort: Effort) -> Result<Report> {
         Benchmark::Tick => ("tick", tick::tick(effort)?),
         Benchmark::Message => ("message", tick::message(effort)?),
         Benchmark::Weights => ("weights", tick::weights(effort)?),
+        Benchmark::Idle => ("idle", idle::run(effort)?),
+        Benchmark::Memory => ("memory", memory::run(effort)?),
         Benchmark::Loop => ("loop", run_loop::run(effort)?),
     };
     Ok(Report { name, machine, rows })

@@ -12,6 +12,7 @@ use std::process::{Command, Stdio};
 
 const ALGOS: [&str; 2] = ["dqn", "ha-diiqn"];
 const MODES: [&str; 2] = ["reference", "lockstep"];
+const RUN: &str = "run";
 /// Environment steps of a run: what figures need, and for a quick look.
 const ENV_STEPS: [u64; 2] = [100_000, 2_000];
 /// Runs of each combination; they take turns.
@@ -39,16 +40,21 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     Ok(pairs.into_iter().zip(samples).map(row).collect())
 }
 
-/// Environment steps a second from the first tick to the end of training, as the run itself reports them.
-fn steps_per_s(algo: &str, mode: &str, env_steps: u64, dir: &Path) -> Result<f64> {
-    let out = dir.join("run");
-    let env_steps = env_steps.to_string();
+/// The command that trains on maze30 in a subdirectory of `dir`.
+pub(super) fn training(algo: &str, mode: &str, env_steps: u64, dir: &Path) -> Result<Command> {
     let mut command = Command::new(std::env::current_exe().context("cannot find the program itself")?);
     command.args(["train", "maze30", "--algo", algo, "--mode", mode, "--seed", "1", "--quiet"]);
-    command.args(["--episodes", "1000000000", "--env-steps", &env_steps, "--out"]).arg(&out);
+    command.args(["--episodes", "1000000000", "--env-steps", &env_steps.to_string(), "--out"]);
+    command.arg(dir.join(RUN));
+    Ok(command)
+}
+
+/// Environment steps a second from the first tick to the end of training, as the run itself reports them.
+fn steps_per_s(algo: &str, mode: &str, env_steps: u64, dir: &Path) -> Result<f64> {
+    let mut command = training(algo, mode, env_steps, dir)?;
     let status = command.stdin(Stdio::null()).stdout(Stdio::null()).status().context("cannot start a run")?;
     ensure!(status.success(), "trestle train --algo {algo} --mode {mode} has failed: {status}");
-    let path = out.join("result.json");
+    let path = dir.join(RUN).join("result.json");
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let result: Value = serde_json::from_str(&text)?;
     let number = |key: &str| result[key].as_f64().with_context(|| format!("{} has no {key}", path.display()));

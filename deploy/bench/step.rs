@@ -12,44 +12,54 @@ use trestle_qnet::{Isa, Kernels, Layout};
 /// Sizes of the network and rows of a batch; the last one is maze30's.
 const SIZES: [(&[usize], usize); 4] =
     [(&[8, 64, 64, 4], 32), (&[8, 128, 128, 4], 64), (&[8, 256, 256, 4], 128), (&[2, 128, 128, 4], 32)];
+/// DIIQN's step has a second forward pass, of the mentor's states.
+const ALGOS: [&str; 2] = ["dqn", "diiqn"];
 /// Multiply-adds in a sample of the peak.
 const ROUNDS: u64 = 10_000;
 
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let all: Vec<Kernels> = Isa::available().filter_map(Kernels::new).collect();
     let mut cases: Vec<Case<'_>> = Vec::new();
+    let mut operations = Vec::new();
     for &kernels in &all {
         cases.push(Box::new(move || {
             black_box(multiply_adds(kernels, ROUNDS));
             Ok(())
         }));
         for (sizes, rows) in SIZES {
-            let mut step = GradientStep::new(sizes, rows, kernels)?;
-            cases.push(Box::new(move || step.run()));
+            for algo in ALGOS {
+                let mut step = GradientStep::new(sizes, rows, algo != "dqn", kernels)?;
+                operations.push(flops(&Layout::new(sizes)?, rows, step.forward_rows()));
+                cases.push(Box::new(move || step.run()));
+            }
             cases.push(traffic(kernels, Layout::new(sizes)?.n_params()));
         }
     }
     let found = medians(&mut cases, effort)?;
     let mut rows = Vec::new();
-    for (&kernels, found) in all.iter().zip(found.chunks(1 + 2 * SIZES.len())) {
+    let mut operations = operations.into_iter();
+    for (&kernels, found) in all.iter().zip(found.chunks(1 + SIZES.len() * (ALGOS.len() + 1))) {
         // Floating-point operations in a nanosecond.
         let peak = found[0].map(|ns| multiply_adds(kernels, ROUNDS) as f64 / ns);
-        for ((sizes, batch), found) in SIZES.into_iter().zip(found[1..].chunks(2)) {
-            let us = found[0].map(|ns| ns / 1e3);
-            let flops = operations(&Layout::new(sizes)?, batch);
-            let limit = peak.zip(found[1]).map(|(peak, traffic)| (flops as f64 / peak + traffic) / 1e3);
-            rows.push(
-                Row::new()
-                    .with("inputs", sizes[0])
-                    .with("hidden", &sizes[1..sizes.len() - 1])
-                    .with("batch", batch)
-                    .with("isa", kernels.isa().to_string())
-                    .measured("us", us)
-                    .measured("limit_us", limit)
-                    .measured("times_limit", us.zip(limit).map(|(us, limit)| us / limit))
-                    .with("flops", flops)
-                    .measured("peak_gflops", peak),
-            );
+        for ((sizes, batch), found) in SIZES.into_iter().zip(found[1..].chunks(ALGOS.len() + 1)) {
+            let (steps, traffic) = found.split_at(ALGOS.len());
+            for ((algo, ns), flops) in ALGOS.into_iter().zip(steps).zip(&mut operations) {
+                let us = ns.map(|ns| ns / 1e3);
+                let limit = peak.zip(traffic[0]).map(|(peak, traffic)| (flops as f64 / peak + traffic) / 1e3);
+                rows.push(
+                    Row::new()
+                        .with("algo", algo)
+                        .with("inputs", sizes[0])
+                        .with("hidden", &sizes[1..sizes.len() - 1])
+                        .with("batch", batch)
+                        .with("isa", kernels.isa().to_string())
+                        .measured("us", us)
+                        .measured("limit_us", limit)
+                        .measured("times_limit", us.zip(limit).map(|(us, limit)| us / limit))
+                        .with("flops", flops)
+                        .measured("peak_gflops", peak),
+                );
+            }
         }
     }
     Ok(rows)
@@ -64,18 +74,19 @@ fn traffic(kernels: Kernels, n: usize) -> Case<'static> {
     })
 }
 
-/// Floating-point operations of a step's matrix products, a multiply-add being two: the forward pass of both networks,
-/// the gradient of every weight (of the last layer's for the taken action alone) and of every hidden unit.
-fn operations(layout: &Layout, batch: usize) -> usize {
+/// Floating-point operations of a step's matrix products, a multiply-add being two: the forward pass of `forward_rows`
+/// rows in the online network and of `batch` rows in the target network, the gradient of every weight (of the last
+/// layer's for the taken action alone) and of every hidden unit for `batch` rows.
+fn flops(layout: &Layout, batch: usize, forward_rows: usize) -> usize {
     let last = layout.layers().len() - 1;
     let products = |l: usize| {
         let layer = layout.layers()[l];
         let all = layer.weights().len();
         let backward = if l == last { layer.inputs } else { all };
         // Nobody asks for the gradient of the input.
-        2 * all + backward + if l == 0 { 0 } else { backward }
+        (batch + forward_rows) * all + batch * (backward + if l == 0 { 0 } else { backward })
     };
-    (0..=last).map(|l| 2 * batch * products(l)).sum()
+    (0..=last).map(|l| 2 * products(l)).sum()
 }
 
 #[cfg(test)]
@@ -87,7 +98,8 @@ mod tests {
     fn operations_are_those_of_the_products() {
         // Two forward passes of 2 * 3 + 3 * 4, gradients of 2 * 3 weights, of 3 weights of the action, of 3 units.
         let layout = Layout::new(&[2, 3, 4]).unwrap();
-        assert_eq!(operations(&layout, 1), 2 * (2 * 18 + 6 + 3 + 3));
-        assert_eq!(operations(&layout, 5), 5 * operations(&layout, 1));
+        assert_eq!(flops(&layout, 1, 1), 2 * (2 * 18 + 6 + 3 + 3));
+        assert_eq!(flops(&layout, 5, 5), 5 * flops(&layout, 1, 1));
+        assert_eq!(flops(&layout, 1, 2), flops(&layout, 1, 1) + 2 * 18);
     }
 }
