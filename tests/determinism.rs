@@ -90,6 +90,21 @@ fn three_actors_with_lag() {
 }
 
 #[test]
+fn stopping_when_solved() {
+    let place = Place::new();
+    for (i, more) in [&[] as &[&str], &["--set", "run.lag=1", "--actors", "2"]].into_iter().enumerate() {
+        let easy = ["--set", "run.stop_when_solved=true", "--set", "eval.threshold=-4000"];
+        let args = [&ARGS[..], &easy, more].concat();
+        let lockstep = place.train(&format!("lockstep-{i}"), &args);
+        let reference =
+            place.train(&format!("reference-{i}"), &[&args[..], &["--mode", "reference"]].concat());
+        assert_eq!(lockstep, reference, "{more:?}");
+        assert_eq!(lockstep.evals.len(), 1 + 3, "the header and three evaluations");
+        assert!(lockstep.result.env_steps < 10_000 && !lockstep.result.interrupted);
+    }
+}
+
+#[test]
 fn plain_learning_the_paper_variants_and_ours() {
     let place = Place::new();
     let variants: [&[&str]; 7] = [

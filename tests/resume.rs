@@ -116,6 +116,19 @@ fn other_settings_are_refused_and_more_episodes_are_not() {
 }
 
 #[test]
+fn a_run_that_stopped_when_solved_goes_on_only_if_told_to() {
+    let place = Place::new();
+    let args = [&ARGS[..], &["--set", "eval.threshold=-4000"]].concat();
+    let straight = place.train("straight", &args);
+    let stopping = [&args[..], &["--set", "run.stop_when_solved=true"]].concat();
+    let stopped = place.train("run", &stopping);
+    assert!(stopped.result.env_steps < straight.result.env_steps);
+    let again = place.training("run", &[&stopping[..], &["--resume"]].concat());
+    start(&again).finish().refused(&["is complete", "run.stop_when_solved=false"]);
+    assert_eq!(resumed(&place, "run", &args), straight);
+}
+
+#[test]
 fn a_damaged_checkpoint_is_passed_over() {
     let place = Place::new();
     let undisturbed = place.train("undisturbed", &ARGS);

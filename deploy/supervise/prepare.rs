@@ -110,6 +110,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     let mut own = config::parse_toml(&path.display().to_string(), &text)?;
     own.run.episodes = typed.run.episodes;
     own.run.env_steps = typed.run.env_steps;
+    own.run.stop_when_solved = typed.run.stop_when_solved;
     own.supervise = typed.supervise.clone();
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
@@ -134,7 +135,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
             "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes, run.env_steps and what is in [supervise]",
+             run.episodes, run.env_steps, run.stop_when_solved and what is in [supervise]",
             root.display()
         );
     }
@@ -160,6 +161,12 @@ fn meet(mut config: Config) -> Result<Resolved> {
     };
     let resolved = Resolved { config, spec, mentors };
     let plan = resolved.plan(0, None);
+    let run = &plan.config.run;
+    ensure!(
+        !run.stop_when_solved || plan.threshold().is_some(),
+        "run.stop_when_solved = true, but {} has no return that counts as solved; accepted: false, or eval.threshold",
+        plan.spec.name
+    );
     trestle_qnet::network_of(&plan)?;
     trestle_qnet::kernels_of(&plan)?;
     Ok(resolved)
@@ -305,11 +312,13 @@ impl Resolved {
         Sizes::of(&self.plan(0, None)).shared_memory_bytes()
     }
 
-    /// What the run in `root` came to, if it has reached the limits of this configuration.
+    /// What the run in `root` came to, if it has reached the limits of this configuration or stopped because it is solved.
     pub(crate) fn complete(&self, root: &Path) -> Option<RunResult> {
         let text = fs::read_to_string(RunDir::new(root).result()).ok()?;
         let result: RunResult = serde_json::from_str(&text).ok()?;
-        self.reached(result.episodes, result.env_steps).then_some(result)
+        let stopped =
+            self.config.run.stop_when_solved && result.solved_episode.is_some() && !result.interrupted;
+        (stopped || self.reached(result.episodes, result.env_steps)).then_some(result)
     }
 
     /// Whether the run in `root` has a checkpoint that this configuration can go on from.
@@ -323,7 +332,7 @@ impl Resolved {
         if let Some(result) = self.complete(dir.root()) {
             bail!(
                 "--resume: {root} is complete with {} episodes and {} environment steps; accepted: a higher --episodes or \
-                 --env-steps",
+                 --env-steps, or --set run.stop_when_solved=false where it stopped because it is solved",
                 result.episodes,
                 result.env_steps
             );

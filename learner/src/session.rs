@@ -23,7 +23,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 1 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 2 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -77,6 +77,8 @@ pub struct Session<'a> {
     ordered: Option<Counters>,
     /// The counts at the last evaluation that became due, played or not.
     evaluated_at: Counters,
+    /// The counts at which the evaluation became due with which the run is solved.
+    solved_by: Option<Counters>,
     /// Training since the last interval row.
     stats: TrainStats,
     /// Time spent waiting for other processes since `since`.
@@ -92,6 +94,7 @@ struct State {
     evaluations: u64,
     due: Option<Counters>,
     evaluated_at: Counters,
+    solved_by: Option<Counters>,
     /// The guide that the actors act with in the next tick, where it is not the agent's newest.
     guide: Vec<f32>,
 }
@@ -123,6 +126,7 @@ impl<'a> Session<'a> {
             due: None,
             ordered: None,
             evaluated_at: Counters::default(),
+            solved_by: None,
             stats: TrainStats::default(),
             waited: Duration::ZERO,
             since: Instant::now(),
@@ -152,6 +156,7 @@ impl<'a> Session<'a> {
             due: state.due,
             ordered: None,
             evaluated_at: state.evaluated_at,
+            solved_by: state.solved_by,
             stats: TrainStats::default(),
             waited: Duration::ZERO,
             since: Instant::now(),
@@ -253,9 +258,17 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Whether the run has reached its limits.
+    /// Whether the run has reached its limits, or is solved and to stop then.
     pub fn done(&self) -> bool {
-        self.agent.done()
+        self.agent.done() || self.solved()
+    }
+
+    /// Whether the run stops here because it is solved. The answer to an evaluation comes while the next tick, with a
+    /// lag the one after it, is under way: that tick is the last one wherever the answer came earlier, too.
+    fn solved(&self) -> bool {
+        let run = &self.plan.config.run;
+        let last = |by: Counters| by.env_steps / self.steps_per_tick() + 1 + u64::from(run.lag);
+        run.stop_when_solved && self.solved_by.is_some_and(|by| self.tick >= last(by))
     }
 
     /// The actors are ahead of what the agent has learnt from, and will not be taken back: see [`Agent::cut`].
@@ -263,8 +276,12 @@ impl<'a> Session<'a> {
         self.agent.cut();
     }
 
-    /// Makes a last evaluation due unless there has been one at this very point.
+    /// Makes a last evaluation due unless there has been one at this very point, or the run stops because of the last
+    /// ones.
     pub fn request_final_evaluation(&mut self) {
+        if !self.agent.done() {
+            return;
+        }
         let now = self.agent.counters();
         if self.due.is_none() && self.evaluated_at.env_steps != now.env_steps {
             self.due = Some(now);
@@ -290,6 +307,9 @@ impl<'a> Session<'a> {
             .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
             .collect();
         self.recorder.evaluation(&counters, &episodes)?;
+        if self.recorder.solved() {
+            self.solved_by.get_or_insert(counters);
+        }
         self.ordered = None;
         self.evaluations += 1;
         Ok(())
@@ -324,6 +344,7 @@ impl<'a> Session<'a> {
             evaluations: self.evaluations,
             due: self.due,
             evaluated_at: self.evaluated_at,
+            solved_by: self.solved_by,
             guide: guide.unwrap_or_default().to_vec(),
         };
         let run = codec::encode(KIND, &state)?;

@@ -8,10 +8,10 @@ use std::fs;
 use trestle_actor::env::draw;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::demonstration::Demonstration;
-use trestle_proto::similarity::metric::Metric;
 use trestle_mentor_server::summary::summarise;
 use trestle_proto::config::{self, CovarianceKind, Demos, EnvKind, Mentor};
 use trestle_proto::rundir::RunDir;
+use trestle_proto::similarity::metric::Metric;
 
 pub(super) fn run(args: &Inspect) -> Result<()> {
     if let Some(svg) = &args.svg {
@@ -45,8 +45,12 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             let demonstration = demo_file::read(&file)?;
             let Mentor { n, sigma_floor, .. } = Mentor::default();
             let scale = vec![1.0; demonstration.dim()];
-            let metric =
-                Metric::from_config(CovarianceKind::Demonstration, sigma_floor, &scale, demonstration.states())?;
+            let metric = Metric::from_config(
+                CovarianceKind::Demonstration,
+                sigma_floor,
+                &scale,
+                demonstration.states(),
+            )?;
             outln!("{} by itself, KL in standard deviations of its own features", file.display());
             outln!("{}", summarise(&demonstration, &metric, n as usize).to_string().trim_end());
             outln!("With --config PRESET|CONFIG.TOML: the metric of that, its thresholds and its map");

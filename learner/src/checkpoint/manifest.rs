@@ -55,6 +55,7 @@ pub struct Manifest {
 pub fn fingerprint(plan: &RunPlan) -> String {
     let mut config = plan.config.clone();
     (config.run.episodes, config.run.env_steps, config.run.mode) = (None, None, Mode::Lockstep);
+    config.run.stop_when_solved = false;
     (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
     config.supervise = Supervise::default();
     let text = serde_json::json!([config, plan.spec, plan.mentor_len()]).to_string();

@@ -243,6 +243,11 @@ impl Recorder {
         }
     }
 
+    /// Whether the evaluations so far amount to *solved*.
+    pub fn solved(&self) -> bool {
+        self.standing.solved().is_some()
+    }
+
     /// What goes into the checkpoint that is being taken, and the files that must be synced before it is complete: a
     /// complete checkpoint never counts lines that a crash can take away.
     pub fn checkpoint(&mut self) -> Result<(RecorderState, Vec<Unsynced>), RecordError> {

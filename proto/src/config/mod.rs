@@ -54,6 +54,8 @@ pub struct Run {
     pub episodes: Option<u64>,
     /// ... or this many environment steps over all actors, whichever comes first. At least one must be given.
     pub env_steps: Option<u64>,
+    /// Whether it also ends as soon as the task counts as solved (see [`Eval`]).
+    pub stop_when_solved: bool,
     /// How the processes work together.
     pub mode: Mode,
     /// Actor processes, 1 to 64.
@@ -411,6 +413,7 @@ impl Default for Run {
             seed: 0,
             episodes: None,
             env_steps: None,
+            stop_when_solved: false,
             mode: Mode::Lockstep,
             actors: 1,
             rollout: 32,
