@@ -120,7 +120,8 @@ proptest! {
         }
     }
 
-    /// Whatever is done, the ball stays out of the walls by all but a few millimetres.
+    /// Whatever is done, the ball enters no wall by more than the 7.5 cm that the fastest one goes in a step, before any
+    /// contact can act on it.
     #[test]
     fn walls_hold(controls in prop::collection::vec((-1.0..=1.0f64, -1.0..=1.0f64), 1..40)) {
         let geometry = geometry("medium", PointLayout::D4rl);
@@ -131,7 +132,7 @@ proptest! {
                 step(&physics, &mut ball, [x, y]);
                 prop_assert!(!geometry.is_wall(geometry.cell(ball.position)));
                 for wall in geometry.walls() {
-                    prop_assert!(clearance(ball.position, wall).0 > -0.06);
+                    prop_assert!(clearance(ball.position, wall).0 > -0.08);
                 }
             }
         }
