@@ -1,0 +1,16 @@
+#!/bin/sh
+# The comparison on maze30: eight arms, 30 seeds each. docs/results.md shows what it came to.
+# usage: maze30.sh OUT [further arguments of `trestle sweep`, such as --resume or --jobs 2]
+out=${1:?the directory of the sweep}
+shift
+exec "${TRESTLE:-target/release/trestle}" sweep maze30 --out "$out" --seeds 0..30 --episodes 4500 --env-steps 1000000 \
+    --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
+    --set env.encoding=one-hot --set learner.train_every=1 \
+    --arm dqn:run.algo=dqn \
+    --arm diiqn:run.algo=diiqn,mentor.selection=min-distance \
+    --arm literal:mentor.selection=min-distance,mentor.reward=observer \
+    --arm matched:mentor.selection=min-distance \
+    --arm gated:mentor.selection=min-distance,mentor.bridges=false \
+    --arm confidence:mentor.selection=confidence \
+    --arm guided:mentor.selection=confidence,exploration.guide_start=0.9,exploration.guide_decay_steps=100000 \
+    --arm shaped:run.algo=dqn,shaping.potential=5 "$@"
