@@ -106,6 +106,11 @@ def measure(repeats: int):
                     yield dict(zip(FIELDS, [op, dim, mentor, peer, f"{single:.3f}", f"{batch:.3f}"]))
 
 
+def figure(x: float) -> str:
+    """Three significant digits, without an exponent."""
+    return f"{x:,.0f}" if x >= 100 else f"{x:.3g}"
+
+
 def table(rows: list[dict], trestle: list[dict]) -> None:
     """Prints how many times Trestle's time each peer takes, single and in batches."""
     names = list(dict.fromkeys(row["peer"] for row in rows))
@@ -115,7 +120,7 @@ def table(rows: list[dict], trestle: list[dict]) -> None:
         us, cells = own["ns"] / 1000, []
         for name in names:
             row = next(r for r in rows if (r["op"], r["dim"], r["mentor"], r["peer"]) == (*key, name))
-            cells.append(f"{float(row['batch_us']) / us:.3g} ({float(row['single_us']) / us:.3g})")
+            cells.append("{} ({})".format(*(figure(float(row[k]) / us) for k in ("batch_us", "single_us"))))
         print(f"| {key[0]} | {key[1]} | {key[2]} | {us:.3f} | " + " | ".join(cells) + " |")
 
 
