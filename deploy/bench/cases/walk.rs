@@ -1,9 +1,10 @@
 //! A world without walls, a mentor's path through it, and an observer that walks about in it at random.
 //!
 //! The world is a box of cells with a side that gives the mentor about one state a cell. The mentor moves by one cell
-//! along an axis. The observer does so, too, but has no move up the first axis: it goes up the second one at the same
-//! time, so that those of the mentor's steps are infeasible. With a jitter, states lie beside the middle of their cell,
-//! each time anew, and no state is ever seen twice.
+//! along an axis. The observer does so, too, but for the first axis: along it, up or down, it can move only while it
+//! moves likewise along the second one, so that those of the mentor's steps are infeasible. As each move has its
+//! opposite, the observer comes to be anywhere in the world equally often. With a jitter, states lie beside the middle
+//! of their cell, each time anew, and no state is ever seen twice.
 
 use anyhow::Result;
 use trestle_mentor_server::demonstration::Demonstration;
@@ -137,7 +138,8 @@ impl Walk {
     /// Its next transition.
     pub(crate) fn step(&mut self) -> Transition<'_> {
         let action = self.walker.draw(2 * self.dim() as u64) as usize;
-        self.walker.shift(if action == 0 { &[0, 2] } else { std::slice::from_ref(&action) });
+        let both = [action, action + 2];
+        self.walker.shift(if action < 2 { &both } else { &both[..1] });
         std::mem::swap(&mut self.obs, &mut self.next);
         self.next.clear();
         self.walker.write(&mut self.next);

@@ -64,7 +64,7 @@ pub fn best(history: &History, j: usize, cross_reference: bool, path: &Path<'_>)
 }
 
 /// Which of two first transitions is the better one: the higher reward, the smaller action, the smaller s'.
-fn first_order(history: &History, a: u64, b: u64) -> Ordering {
+pub(super) fn first_order(history: &History, a: u64, b: u64) -> Ordering {
     let (x, y) = (history.get(a), history.get(b));
     let features = || {
         let pairs = history.states.raw(x.to).iter().zip(history.states.raw(y.to));
@@ -74,7 +74,7 @@ fn first_order(history: &History, a: u64, b: u64) -> Ordering {
 }
 
 /// KL between s' of `t` and the nearest mentor state ahead of transition `j`, if one is similar.
-fn end_kl(t: &Stored, j: usize, history: &History, path: &Path<'_>) -> Option<f32> {
+pub(super) fn end_kl(t: &Stored, j: usize, history: &History, path: &Path<'_>) -> Option<f32> {
     let end = history.states.whitened(t.to);
     let ahead = path.order.ahead(j, path.rule.n);
     ahead.map(|m| kl(end, path.similarity.state(m))).filter(|&d| d <= path.similarity.e_th()).reduce(f32::min)

@@ -18,8 +18,8 @@
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
 use super::outlook::{Outlook, Stock};
-use super::wanted::{Goal, Newest, Reach, Wanted, backward_goals, forward_goals};
-use super::{Path, improve};
+use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
+use super::{Path, Place, improve};
 use crate::demonstration::transitions;
 use crate::history::Stored;
 use crate::states::States;
@@ -96,6 +96,7 @@ pub struct Search {
     /// [`MAX_LOOKS`], but for tests.
     pub(crate) limit: usize,
     outlook: Outlook,
+    collecting: Scratch,
     wanted: Vec<Wanted>,
     /// Where the present level heads for, if that is few places, and how near to them its states must be.
     goals: Vec<Goal>,
@@ -129,6 +130,7 @@ impl Search {
         Self {
             limit: MAX_LOOKS,
             outlook: Outlook::new(mentor_states),
+            collecting: Scratch::default(),
             wanted: Vec::new(),
             goals: Vec::new(),
             limits: Vec::new(),
@@ -168,6 +170,7 @@ impl Search {
     /// Transitions have been stored, or annotations replaced, without [`Search::run`].
     pub fn forget(&mut self) {
         self.outlook.forget();
+        self.collecting.forget();
     }
 
     /// Looks for bridges through a new transition and improves `table`. `improved` is called with each mentor
@@ -189,8 +192,17 @@ impl Search {
             return true;
         }
         let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
-        let newest = Newest { from, to, path, stock: Stock { states, graph, oldest }, reach };
-        newest.collect(table, &mut self.outlook, &mut self.stack, &mut self.hits, &mut self.wanted);
+        let newest = Newest {
+            from,
+            to,
+            reward: t.reward,
+            starts: &self.hits,
+            ends: &self.to_hits,
+            path,
+            stock: Stock { states, graph, oldest },
+            reach,
+        };
+        newest.collect(table, &mut self.outlook, &mut self.collecting, &mut self.wanted);
         if self.wanted.is_empty() {
             return true;
         }
@@ -392,7 +404,8 @@ impl Search {
                 // A first step with another behind it did not end its episode.
                 terminated: self.starts.steps[j] == 0 && new.t.terminated(),
             };
-            if improve(table, j, &found) {
+            let place = Place { first: self.starts.steps[j] == 0, last: end.0 == 0 };
+            if improve(table, j, &found, place) {
                 improved(j);
             }
         }

@@ -3,7 +3,7 @@
 //! Such a path is a stretch of one actor's episode, so its beginning is one of the last k transitions. This finds every
 //! bridge that cross-referencing is not needed for, at a cost of k look-ups at most.
 
-use super::{Path, improve};
+use super::{Path, Place, improve};
 use crate::demonstration::transitions;
 use crate::history::History;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
@@ -51,7 +51,7 @@ pub fn search(
                 next_obs: states.raw(step.to),
                 terminated: step.terminated(),
             };
-            if improve(table, j, &found) {
+            if improve(table, j, &found, Place { first: length == 1, last: true }) {
                 improved(j);
             }
         }

@@ -5,10 +5,13 @@
 //! similarity. So a state that is farther away than so many of both cannot be reached, or left, in so many steps. What
 //! this rules out is not looked at; nothing that could improve a bridge is ever ruled out.
 
-use super::Path;
+use super::frontier::Marks;
 use super::outlook::{Outlook, Stock};
+use super::room::Room;
 use super::search::NEVER;
-use trestle_proto::annotation::AnnotationTable;
+use super::{BridgeRule, Path};
+use crate::demonstration::transitions;
+use trestle_proto::annotation::{AnnotationTable, Bridge};
 use trestle_proto::similarity::Hit;
 use trestle_proto::similarity::metric::kl;
 
@@ -62,7 +65,7 @@ pub(super) struct Wanted {
     pub(super) j: u32,
     /// Steps of the longest bridge that is of use.
     longest: u32,
-    /// Largest end KL that is of use in one of these many steps; any in a shorter one.
+    /// Largest end KL that is of use in one of these many steps, unless t is its last; any in a shorter one.
     end_kl: f32,
     /// Fewest steps before t and after it, as far as is known.
     pub(super) before: u32,
@@ -127,48 +130,90 @@ pub(super) struct Newest<'a> {
     pub(super) from: &'a [f32],
     /// s'.
     pub(super) to: &'a [f32],
+    pub(super) reward: f32,
+    /// The mentor states similar to s, and those similar to s'.
+    pub(super) starts: &'a [Hit],
+    pub(super) ends: &'a [Hit],
     pub(super) path: &'a Path<'a>,
     pub(super) stock: Stock<'a>,
     pub(super) reach: Reach,
 }
 
+/// Working memory of [`Newest::collect`].
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scratch {
+    room: Room,
+    seen: Marks,
+    candidates: Vec<(usize, f32)>,
+    stack: Vec<u32>,
+}
+
+impl Scratch {
+    /// Annotations have been replaced.
+    pub(super) fn forget(&mut self) {
+        self.room.forget();
+    }
+}
+
 impl Newest<'_> {
-    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve. `stack` and `starts` are
-    /// working memory.
+    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve: those that t may be the first
+    /// step for, those that it may be the last step for, and those that leave room for more on both sides.
     pub(super) fn collect(
         &self,
         table: &AnnotationTable,
         outlook: &mut Outlook,
-        stack: &mut Vec<u32>,
-        starts: &mut Vec<Hit>,
+        scratch: &mut Scratch,
         wanted: &mut Vec<Wanted>,
     ) {
         wanted.clear();
-        let farthest = self.reach.limit(self.path.rule.k as u32 - 1, self.reach.radius);
-        self.path.similarity.within(self.from, farthest, stack, starts);
-        for start in starts.iter() {
-            if let Some(j) = self.path.order.transition_of(start.state as usize)
-                && table.errors()[j] >= self.path.rule.e_infeas
-            {
-                wanted.extend(self.want(j, start, table, outlook));
+        let Path { rule, order, similarity } = self.path;
+        let Scratch { room, seen, candidates, stack } = scratch;
+        candidates.clear();
+        candidates.extend(transitions(self.starts, order));
+        for hit in self.ends {
+            let behind = order.behind(hit.state as usize, rule.n);
+            candidates.extend(behind.map(|j| (j, kl(self.from, similarity.state(order.state_of(j))))));
+        }
+        let most = (rule.k as u32).saturating_sub(2);
+        let room_of = |m: usize| {
+            let open = order.transition_of(m).filter(|&j| table.errors()[j] >= rule.e_infeas);
+            open.map_or(0, |j| match known(table, j, rule) {
+                Some(known) if known.end_kl == 0.0 => known.length.saturating_sub(2),
+                Some(known) => known.length.saturating_sub(3),
+                None => most,
+            })
+        };
+        room.around(self.from, (similarity, &self.reach, most), room_of, stack, |m, kl| {
+            candidates.extend(order.transition_of(m).map(|j| (j, kl)));
+        });
+        seen.begin(order.n_transitions());
+        for &(j, start_kl) in candidates.iter() {
+            if table.errors()[j] >= rule.e_infeas && seen.first_time(j as u32) {
+                wanted.extend(self.want(j, start_kl, table, outlook));
             }
         }
     }
 
-    /// What is wanted of mentor transition `j`, which begins in `start`, if anything.
-    fn want(&self, j: usize, start: &Hit, table: &AnnotationTable, outlook: &mut Outlook) -> Option<Wanted> {
+    /// What is wanted of mentor transition `j`, which begins at KL `start_kl` from s, if anything.
+    fn want(
+        &self,
+        j: usize,
+        start_kl: f32,
+        table: &AnnotationTable,
+        outlook: &mut Outlook,
+    ) -> Option<Wanted> {
         let Self { to, path, stock, reach, .. } = self;
         let similarity = path.similarity;
-        let known = table.bridge(j).filter(|known| known.length as usize <= path.rule.k);
+        let known = known(table, j, &path.rule);
         let longest = known.as_ref().map_or(path.rule.k as u32, |known| known.length - 1);
-        let before = reach.steps(start.kl, reach.radius);
+        let before = reach.steps(start_kl, reach.radius);
         let mut wanted = Wanted {
             j: j as u32,
             longest,
             end_kl: similarity.e_th(),
             before,
             after: NEVER,
-            started: start.kl <= similarity.e_th(),
+            started: start_kl <= similarity.e_th(),
             ended: false,
         };
         for m in path.order.ahead(j, path.rule.n) {
@@ -178,23 +223,30 @@ impl Newest<'_> {
                 continue;
             }
             let Some(nearest) = outlook.nearest_end(m, stock, similarity) else { continue };
-            let best_start = outlook.best_start(start.state as usize, stock, similarity)?;
-            let shorter = before + 1 + after <= longest;
-            let tie = known.as_ref().and_then(|known| {
-                let better = nearest < known.end_kl || nearest == known.end_kl && best_start > known.reward;
-                let after = reach.steps(kl, distance(known.end_kl));
-                (better && before + 1 + after <= known.length).then_some((after, known))
-            });
-            if shorter {
+            let best_start = outlook.best_start(path.order.state_of(j), stock, similarity)?;
+            if before + 1 + after <= longest {
                 wanted.after = wanted.after.min(after);
             }
-            if let Some((after, known)) = tie {
-                wanted.after = wanted.after.min(after);
+            let Some(known) = &known else { continue };
+            // An equally long one: t is its last step, or its first one, or any.
+            if kl < known.end_kl || kl == known.end_kl && best_start > known.reward {
+                (wanted.longest, wanted.after) = (known.length, 0);
+            }
+            let first = wanted.started && self.reward > known.reward;
+            let any = known.end_kl == 0.0 && best_start > known.reward;
+            let after = reach.steps(kl, distance(known.end_kl));
+            if (first || any) && nearest <= known.end_kl && before + 1 + after <= known.length {
                 (wanted.longest, wanted.end_kl) = (known.length, known.end_kl);
+                wanted.after = wanted.after.min(after);
             }
         }
         wanted.is_possible().then_some(wanted)
     }
+}
+
+/// The bridge of mentor transition `j`, if it counts.
+fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<Bridge<'a>> {
+    table.bridge(j).filter(|known| known.length as usize <= rule.k)
 }
 
 /// Fills `goals` with the mentor states that the search forward heads for, each once. False, and of no use, if they are

@@ -36,6 +36,11 @@ impl Similarity {
         self.e_th
     }
 
+    /// The tree over the mentor states.
+    pub fn tree(&self) -> &Tree {
+        &self.tree
+    }
+
     /// Mentor state `m`, whitened.
     pub fn state(&self, m: usize) -> &[f32] {
         &self.whitened[m * self.dim..][..self.dim]
