@@ -1,10 +1,10 @@
 #!/bin/sh
 # The comparison on maze30: eight arms, 30 seeds each. docs/results.md shows what it came to.
-# usage: maze30.sh OUT [further arguments of `trestle sweep`, such as --resume or --jobs 2]
+# usage: maze30.sh OUT [further arguments of `trestle sweep`, such as --resume, --jobs 2 or --set env.encoding=coordinates]
 out=${1:?the directory of the sweep}
 shift
-exec "${TRESTLE:-target/release/trestle}" sweep maze30 --out "$out" --seeds 0..30 --episodes 4500 --env-steps 1000000 \
-    --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
+exec "${TRESTLE:-target/release/trestle}" sweep maze30 --out "$out" --seeds 0..30 \
+    --set run.episodes=4500 --set run.env_steps=1000000 --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
     --set env.encoding=one-hot --set learner.train_every=1 \
     --arm dqn:run.algo=dqn \
     --arm diiqn:run.algo=diiqn,mentor.selection=min-distance \

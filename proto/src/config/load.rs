@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// The presets that are compiled in: name and TOML text.
-pub const PRESETS: [(&str, &str); 4] = [
+pub const PRESETS: [(&str, &str); 5] = [
     ("maze30", include_str!("../../presets/maze30.toml")),
+    ("maze30-tuned", include_str!("../../presets/maze30-tuned.toml")),
     ("maze-small", include_str!("../../presets/maze-small.toml")),
     ("point-maze", include_str!("../../presets/point-maze.toml")),
     ("point-umaze", include_str!("../../presets/point-umaze.toml")),
@@ -73,7 +74,8 @@ fn preset_names() -> String {
 /// one wins). Ranges are checked; what needs the environment (maps, demonstrations) is not looked at.
 pub fn load(name: &str, overrides: &[String]) -> Result<Config, ConfigError> {
     let mut table = read(name)?;
-    if let Some(base) = table.remove("base") {
+    // Presets, too, may have one; none refers to itself.
+    while let Some(base) = table.remove("base") {
         let base = base.as_str().ok_or_else(|| ConfigError::Key {
             key: "base".into(),
             message: format!("expected the name of a preset; presets: {}", preset_names()),
@@ -183,7 +185,7 @@ fn scalar(text: &str) -> Value {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::config::{Algo, SelectionKind, Threshold};
+    use crate::config::{Algo, EncodingKind, SelectionKind, Threshold};
 
     fn refused(overrides: &[&str]) -> String {
         let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
@@ -262,7 +264,7 @@ mod tests {
             load("no-such", &[])
                 .unwrap_err()
                 .to_string()
-                .contains("presets: maze30, maze-small, point-maze, point-umaze")
+                .contains("presets: maze30, maze30-tuned, maze-small, point-maze, point-umaze")
         );
     }
 
@@ -274,6 +276,10 @@ mod tests {
         let config = load(path.to_str().unwrap(), &[]).unwrap();
         assert_eq!(config.learner.lr, 0.5);
         assert_eq!(config.env.map, "maze30");
+        std::fs::write(&path, "base = \"maze30-tuned\"\n[learner]\ntau = 0.01\n").unwrap();
+        let config = load(path.to_str().unwrap(), &[]).unwrap();
+        assert_eq!((config.learner.tau, config.learner.train_every), (0.01, 1));
+        assert_eq!((config.env.map, config.env.encoding), ("maze30".into(), EncodingKind::OneHot));
         std::fs::write(&path, "[learner\n").unwrap();
         assert!(load(path.to_str().unwrap(), &[]).unwrap_err().to_string().contains("not valid TOML"));
     }
