@@ -1,11 +1,15 @@
 //! `mentor/query`: any process may ask a running mentor-server, and the run does not notice.
 
 use crate::util::{LIMIT, Place, Trace, assert_gone, domain, start, wait_until};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 use trestle_proto::annotation::{AnnotationTable, record_words};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{ANNOTATIONS, BRIDGE, QueryRequest, SIMILAR, STATS, Stats, TRANSITIONS};
+use trestle_proto::rundir::RunDir;
 use trestle_proto::transport::LinkError;
 use trestle_proto::transport::iceoryx::QueryClient;
 
@@ -180,6 +184,61 @@ fn clients_do_not_harm_each_other() {
         assert!(impatient.join().unwrap() > 5);
     });
     run.finish().ok();
+    assert_gone(&dir);
+    assert_eq!(Trace::of(&dir), undisturbed);
+}
+
+/// A run's directory, for the process that [`killed_clients_leave_nothing`] kills.
+const VICTIM: &str = "TRESTLE_TEST_VICTIM";
+
+/// Clients that are killed in the middle of a question, each with its part of the shared memory still open: the others get
+/// their answers, the run does not notice, and nothing of them remains.
+#[test]
+fn killed_clients_leave_nothing() {
+    let ask_for_ever = |dir: &Path| {
+        let dir = RunDir::new(dir);
+        let plan = dir.read_plan().unwrap();
+        let client = QueryClient::new(&domain(&dir), &plan).unwrap();
+        let mut asker = Asker { client, plan, answer: Vec::new() };
+        loop {
+            asker.ask(STATS, 0, 0, &[]).unwrap();
+            println!("answered");
+        }
+    };
+    if let Some(dir) = std::env::var_os(VICTIM) {
+        ask_for_ever(Path::new(&dir));
+    }
+    let place = Place::new();
+    let undisturbed = place.train("alone", &ARGS);
+    let mut run = start(&place.training("asked", &ARGS));
+    let dir = place.run("asked");
+    let asker = || {
+        let plan = dir.read_plan().ok()?;
+        let client = QueryClient::new(&domain(&dir), &plan).ok()?;
+        Some(Asker { client, plan, answer: Vec::new() })
+    };
+    let mut survivor = None;
+    run.wait_for("the mentor-server", || {
+        survivor = asker();
+        survivor.as_mut().is_some_and(|asker| asker.ask(STATS, 0, 0, &[]).is_ok())
+    });
+    let mut survivor = survivor.unwrap();
+    for _ in 0..3 {
+        let mut victim = Command::new(std::env::current_exe().unwrap())
+            .args(["query::killed_clients_leave_nothing", "--exact", "--nocapture"])
+            .env(VICTIM, dir.root())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(victim.stdout.take().unwrap()).lines();
+        assert!(lines.any(|line| line.unwrap().contains("answered")));
+        // SIGKILL, while it asks.
+        victim.kill().unwrap();
+        victim.wait().unwrap();
+        survivor.ask(STATS, 0, 0, &[]).unwrap();
+    }
+    run.finish().ok();
+    drop(survivor);
     assert_gone(&dir);
     assert_eq!(Trace::of(&dir), undisturbed);
 }
