@@ -32,6 +32,10 @@ doc:
 deny:
     .ci/run deny
 
+# Whether the instructions that a gradient step and a tick take have grown; `benches/instructions.sh --record` records.
+instructions:
+    .ci/run instructions
+
 # Known vulnerabilities; needs the network for the advisory database, so CI leaves it out.
 advisories:
     cargo deny check advisories
