@@ -79,7 +79,7 @@ fn no_room_for_a_restart() {
     let more = ["--set", "checkpoint.every_env_steps=1000"];
     let args = place.training("run", &[&["maze-small", "--episodes", "1000000000"], &more[..]].concat());
     let outcome = start_under(&["unshare", "--mount", "sh", "-c", &script, "sh"], &args).finish();
-    outcome.refused(&["learner ended with signal", "not started again: /dev/shm has 0 MiB free"]);
+    outcome.refused(&["ended with signal", "not started again: /dev/shm has 0 MiB free"]);
     assert!(newest_checkpoint(&dir).is_some());
     assert!(processes(dir.root()).is_empty());
 }
