@@ -35,7 +35,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let display = Display::new(&plan.config.run, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
     let mut session = Session::new(plan, dir, transitions, |progress| display.update(progress))?;
-    session.start();
+    session.start()?;
     prepared.commit()?;
 
     let lag = plan.config.run.lag == 1;

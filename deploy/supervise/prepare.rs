@@ -358,13 +358,9 @@ impl Prepared {
         Ok(Domain::create(self.plan.run)?)
     }
 
-    /// The run has begun to train: what it replaces, and the result of what it resumes, are of no use any more.
+    /// The run has begun to train: what it replaces is of no use any more.
     pub(crate) fn commit(&self) -> Result<()> {
         self.began.set(true);
-        let result = self.dir.result();
-        if result.exists() {
-            fs::remove_file(&result).with_context(|| format!("cannot remove {}", result.display()))?;
-        }
         match &self.replaced {
             Some(aside) if aside.exists() => fs::remove_dir_all(aside)
                 .with_context(|| format!("cannot remove the replaced run in {}", aside.display())),

@@ -110,7 +110,7 @@ impl<L: LearnerLink> Lockstep<'_, L> {
         let mut tick = self.session.tick();
         if self.session.done() {
             // The checkpoint is the run's last one; only the result is missing.
-            self.session.start();
+            self.session.start()?;
             self.link.send_tick(&self.session.stop())?;
             return Ok(self.session.finish(false)?);
         }
@@ -144,7 +144,7 @@ impl<L: LearnerLink> Lockstep<'_, L> {
 
     /// Sends the first tick after `tick`, the last that has been trained on.
     fn begin(&mut self, tick: u64, lag: u64) -> Result<(), RunError> {
-        self.session.start();
+        self.session.start()?;
         let version = if self.behaviour.is_some() { tick.saturating_sub(lag) } else { tick };
         let weights = self.behaviour.take();
         let weights = weights.as_deref().unwrap_or_else(|| self.session.agent().acting());

@@ -169,11 +169,12 @@ impl<'a> Session<'a> {
         Ok(Resumed { session, behaviour })
     }
 
-    /// All processes have answered: time counts from here.
-    pub fn start(&mut self) {
-        self.recorder.start_clock();
+    /// All processes have answered: time counts from here, and the result of an earlier start is gone.
+    pub fn start(&mut self) -> Result<(), SessionError> {
+        self.recorder.begin()?;
         self.since = Instant::now();
         self.show_progress();
+        Ok(())
     }
 
     /// The agent.

@@ -4,7 +4,7 @@
 //! ```text
 //! recorder = Recorder::create(dir, settings)         of a new run, or
 //!            Recorder::resume(dir, settings, state, counters)
-//! recorder.start_clock()                             just before the first tick
+//! recorder.begin()                                   just before the first tick
 //! each tick:
 //!     each episode that ended:     recorder.episode(&counters_at_its_end, &episode)
 //!     after a greedy evaluation:   recorder.evaluation(&counters, &episodes)
@@ -164,11 +164,17 @@ impl Recorder {
         }
     }
 
-    /// Begins to count `wall_s`: call it just before the first tick, when all processes have answered.
-    /// Without a call it counts from the recorder's creation.
-    pub fn start_clock(&mut self) {
+    /// Begins: call it just before the first tick, when all processes have answered. `wall_s` counts from here, or without a
+    /// call from the recorder's creation. What an earlier start came to is of no use any more, and is removed; here, where
+    /// the new result is written as well, so that nobody can take the one for the other.
+    pub fn begin(&mut self) -> Result<(), RecordError> {
         let now = Instant::now();
         (self.started, self.last_interval, self.last_progress) = (now, now, now);
+        let former = self.dir.join(RESULT_FILE);
+        match std::fs::remove_file(&former) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(error::io("remove", &former)(e)),
+            _ => Ok(()),
+        }
     }
 
     /// Seconds of training so far, those before a resumption included.

@@ -72,7 +72,7 @@ fn metrics(dir: &Path) -> Vec<Value> {
 fn files_hold_what_was_recorded() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
-    recorder.start_clock();
+    recorder.begin().unwrap();
     play(&mut recorder, 1..=4);
     let one = [Episode { total_reward: -3.4, length: 35, success: true }];
     recorder.evaluation(&at(5), &one).unwrap();
@@ -120,7 +120,7 @@ fn an_interruption_leaves_no_trace() {
         let state: RecorderState = codec::decode(KIND, &state).unwrap();
         let before_s = state.wall_s;
         let mut recorder = Recorder::resume(dir.path(), settings(goal), state, at(checkpoint)).unwrap();
-        recorder.start_clock();
+        recorder.begin().unwrap();
         assert!(recorder.wall_s() >= before_s);
         play(&mut recorder, checkpoint + 1..=40);
         let result = recorder.finish(&at(40), &Gauges::default(), outcome()).unwrap();
@@ -168,4 +168,16 @@ fn lost_lines_and_empty_evaluations_are_refused() {
     std::fs::write(dir.path().join(METRICS_FILE), "{}\n").unwrap();
     let error = Recorder::resume(dir.path(), settings(None), state, at(6)).unwrap_err();
     assert!(error.to_string().contains("metrics.jsonl has 1 of the 7 lines"), "{error}");
+}
+
+#[test]
+fn an_earlier_result_is_gone_from_the_beginning_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let result = dir.path().join(RESULT_FILE);
+    let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
+    std::fs::write(&result, "of an earlier start").unwrap();
+    recorder.begin().unwrap();
+    assert!(!result.exists());
+    recorder.finish(&at(1), &Gauges::default(), outcome()).unwrap();
+    assert!(result.exists());
 }
