@@ -47,8 +47,7 @@ pub struct Inference {
 #[derive(Clone, Debug)]
 enum Rule {
     Kl {
-        /// s_m and s'_m side by side, a row for each transition.
-        pairs: Vec<f32>,
+        /// Over s_m and s'_m side by side.
         tree: Tree,
         /// The leaf that holds each transition.
         leaf: Vec<u32>,
@@ -71,13 +70,11 @@ impl Inference {
                     (0..order.n_transitions()).flat_map(|j| [ends(j).0, ends(j).1].concat()).collect();
                 let tree = Tree::new(&pairs, 2 * dim);
                 let mut leaf = vec![0; order.n_transitions()];
-                for (at, node) in tree.nodes().iter().enumerate().filter(|(_, node)| node.left == 0) {
-                    for &j in &tree.order()[node.start as usize..node.end as usize] {
-                        leaf[j as usize] = at as u32;
-                    }
+                for (at, _) in tree.nodes().iter().enumerate().filter(|(_, node)| node.left == 0) {
+                    tree.points(at).for_each(|(j, _)| leaf[j] = at as u32);
                 }
                 let worst = vec![f32::INFINITY; tree.nodes().len()];
-                Rule::Kl { pairs, tree, leaf, worst }
+                Rule::Kl { tree, leaf, worst }
             }
             MetricKind::Delta => {
                 let change = |j| ends(j).1.iter().zip(ends(j).0).map(|(b, a)| b - a).collect::<Vec<_>>();
@@ -107,7 +104,7 @@ impl Inference {
     ) {
         let dim = self.dim;
         match &mut self.rule {
-            Rule::Kl { pairs, tree, leaf, worst } => {
+            Rule::Kl { tree, leaf, worst } => {
                 self.stack.clear();
                 self.stack.push(0);
                 while let Some(at) = self.stack.pop() {
@@ -120,15 +117,16 @@ impl Inference {
                         self.stack.extend([node.left + 1, node.left]);
                         continue;
                     }
-                    for &j in &tree.order()[node.start as usize..node.end as usize] {
-                        let j = j as usize;
-                        let (s, next) = pairs[2 * j * dim..][..2 * dim].split_at(dim);
+                    for (j, pair) in tree.points(at) {
+                        let (s, next) = pair.split_at(dim);
                         let error = kl(seen.state, s) + kl(seen.next, next);
                         let before = table.errors()[j];
                         if improve(table, j, error, seen) {
                             improved(j, before, error);
                             if before == worst[leaf[j] as usize] {
-                                lower(tree, worst, table.errors(), leaf[j] as usize);
+                                let leaf = leaf[j] as usize;
+                                let largest = worst_of(tree, worst, table.errors(), leaf);
+                                tree.lower(worst, leaf, largest);
                             }
                         }
                     }
@@ -165,29 +163,12 @@ fn improve(table: &mut AnnotationTable, j: usize, error: f32, seen: &Observation
     better
 }
 
-/// Brings the largest errors up to date from a leaf to the root, as far as they change.
-fn lower(tree: &Tree, worst: &mut [f32], errors: &[f32], leaf: usize) {
-    let mut at = leaf;
-    loop {
-        let largest = worst_of(tree, worst, errors, at);
-        if largest == worst[at] {
-            return;
-        }
-        worst[at] = largest;
-        if at == 0 {
-            return;
-        }
-        at = tree.nodes()[at].parent as usize;
-    }
-}
-
 fn worst_of(tree: &Tree, worst: &[f32], errors: &[f32], at: usize) -> f32 {
     let node = &tree.nodes()[at];
     if node.left != 0 {
         return worst[node.left as usize].max(worst[node.left as usize + 1]);
     }
-    let members = &tree.order()[node.start as usize..node.end as usize];
-    members.iter().map(|&j| errors[j as usize]).fold(0.0, f32::max)
+    tree.points(at).map(|(j, _)| errors[j]).fold(0.0, f32::max)
 }
 
 #[cfg(test)]

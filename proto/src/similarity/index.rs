@@ -49,15 +49,10 @@ impl Similarity {
     /// Fills `hits` with all mentor states similar to the whitened `state`, in ascending order. `stack` is working
     /// memory.
     pub fn states(&self, state: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
-        self.within(state, self.e_th, stack, hits);
-    }
-
-    /// The same with `reach` in the place of `e_th`.
-    pub fn within(&self, state: &[f32], reach: f32, stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         hits.clear();
-        self.tree.candidates(state, reach, stack, |m| {
-            let kl = kl(state, self.state(m));
-            if kl <= reach {
+        self.tree.candidates(state, self.e_th, stack, |m, point| {
+            let kl = kl(state, point);
+            if kl <= self.e_th {
                 hits.push(Hit { state: m as u32, kl });
             }
         });

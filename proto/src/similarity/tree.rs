@@ -11,24 +11,25 @@ const LEAF: usize = 8;
 /// number of squares (two states of 4096 features) in different orders differ by a thousandth at most.
 const MARGIN: f32 = 0.998;
 
-/// A part of the points, with its bounding box. The two halves of an inner node are `left` and `left + 1`.
+/// A part of the points ([`Tree::points`]), with its bounding box. The two halves of an inner node are `left` and `left + 1`.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// The node's points are `Tree::order()[start..end]`.
-    pub start: u32,
-    /// See `start`.
-    pub end: u32,
+    start: u32,
+    end: u32,
     /// Number of the first half's node; 0 for a leaf.
     pub left: u32,
     /// Number of the parent; the root's is 0.
     pub parent: u32,
 }
 
-/// The tree. Memory: 16 bytes and two points for each node, about a node for every three points.
+/// The tree. Memory: 16 bytes and two points for each node, about a node for every three points; 4 bytes and the point for
+/// each point.
 #[derive(Clone, Debug)]
 pub struct Tree {
     dim: usize,
     order: Vec<u32>,
+    /// The points in that order, so that those of a leaf lie side by side.
+    points: Vec<f32>,
     nodes: Vec<Node>,
     /// Lower corner, then upper corner of each node's box.
     boxes: Vec<f32>,
@@ -38,7 +39,13 @@ impl Tree {
     /// A tree over `points` (row-major, `dim` numbers each, all finite, fewer than 2^31 points).
     pub fn new(points: &[f32], dim: usize) -> Self {
         let count = points.len() / dim;
-        let mut tree = Self { dim, order: (0..count as u32).collect(), nodes: Vec::new(), boxes: Vec::new() };
+        let mut tree = Self {
+            dim,
+            order: (0..count as u32).collect(),
+            points: Vec::new(),
+            nodes: Vec::new(),
+            boxes: Vec::new(),
+        };
         tree.push(points, 0, count, 0);
         let mut at = 0;
         while at < tree.nodes.len() {
@@ -55,6 +62,8 @@ impl Tree {
             }
             at += 1;
         }
+        let point = |&i: &u32| &points[i as usize * dim..][..dim];
+        tree.points = tree.order.iter().flat_map(point).copied().collect();
         tree
     }
 
@@ -83,9 +92,11 @@ impl Tree {
         self.boxes[2 * at * self.dim..][..2 * self.dim].split_at(self.dim)
     }
 
-    /// The points' numbers, node by node.
-    pub fn order(&self) -> &[u32] {
-        &self.order
+    /// The points of node `at`, each with its number.
+    pub fn points(&self, at: usize) -> impl Iterator<Item = (usize, &[f32])> {
+        let (start, end) = (self.nodes[at].start as usize, self.nodes[at].end as usize);
+        let points = self.points[start * self.dim..end * self.dim].chunks_exact(self.dim);
+        self.order[start..end].iter().map(|&i| i as usize).zip(points)
     }
 
     /// All nodes; number 0 is the root, and a parent comes before its halves.
@@ -104,9 +115,31 @@ impl Tree {
         0.5 * MARGIN * query.iter().chain(more).zip(low).zip(high).map(square).sum::<f32>()
     }
 
-    /// Calls `visit` with the number of every point whose KL divergence from `query` may be `reach` or less (and some
+    /// Brings `maxima`, the largest of some number that each point has for each node, up to date where that of leaf `leaf`
+    /// has fallen to `largest`.
+    pub fn lower<T: Copy + PartialOrd>(&self, maxima: &mut [T], leaf: usize, mut largest: T) {
+        let mut at = leaf;
+        while largest < maxima[at] {
+            maxima[at] = largest;
+            if at == 0 {
+                return;
+            }
+            at = self.nodes[at].parent as usize;
+            let left = self.nodes[at].left as usize;
+            let halves = (maxima[left], maxima[left + 1]);
+            largest = if halves.0 < halves.1 { halves.1 } else { halves.0 };
+        }
+    }
+
+    /// Calls `visit` with number and place of every point whose KL divergence from `query` may be `reach` or less (and some
     /// others), in no particular order. `stack` is working memory.
-    pub fn candidates(&self, query: &[f32], reach: f32, stack: &mut Vec<u32>, mut visit: impl FnMut(usize)) {
+    pub fn candidates(
+        &self,
+        query: &[f32],
+        reach: f32,
+        stack: &mut Vec<u32>,
+        mut visit: impl FnMut(usize, &[f32]),
+    ) {
         stack.clear();
         stack.push(0);
         while let Some(at) = stack.pop() {
@@ -115,7 +148,7 @@ impl Tree {
             }
             let node = &self.nodes[at as usize];
             if node.left == 0 {
-                self.order[node.start as usize..node.end as usize].iter().for_each(|&i| visit(i as usize));
+                self.points(at as usize).for_each(|(i, point)| visit(i, point));
             } else {
                 stack.extend([node.left + 1, node.left]);
             }
@@ -138,7 +171,12 @@ mod tests {
             let tree = Tree::new(points, dim);
             let in_reach = |i: usize| kl(query, &points[i * dim..][..dim]) <= reach;
             let mut found = Vec::new();
-            tree.candidates(query, reach, &mut Vec::new(), |i| if in_reach(i) { found.push(i) });
+            tree.candidates(query, reach, &mut Vec::new(), |i, point| {
+                assert_eq!(point, &points[i * dim..][..dim]);
+                if in_reach(i) {
+                    found.push(i);
+                }
+            });
             found.sort_unstable();
             prop_assert_eq!(found, (0..points.len() / dim).filter(|&i| in_reach(i)).collect::<Vec<_>>());
         }
@@ -148,7 +186,7 @@ mod tests {
     fn a_thousand_equal_points_are_no_special_case() {
         let tree = Tree::new(&[2.5; 1000], 1);
         let mut count = 0;
-        tree.candidates(&[2.5], 0.0, &mut Vec::new(), |_| count += 1);
+        tree.candidates(&[2.5], 0.0, &mut Vec::new(), |_, _| count += 1);
         assert_eq!(count, 1000);
         assert!(tree.nodes().iter().all(|n| n.end > n.start));
     }
