@@ -1,8 +1,8 @@
 //! Which mentor transitions leave a path room on both sides of the newest transition.
 //!
 //! Where no bridge is known, a path through t may have k - 2 steps before t and still go on after it; where one of l
-//! steps is known, l - 3, since only a shorter one would do. Once most bridges are short, hardly any room is left, and
-//! this says so without a look at each mentor transition.
+//! steps is known, l - 2, if as long a one is of use. Once most bridges are short, hardly any room is left, and this says
+//! so without a look at each mentor transition.
 
 use super::wanted::Reach;
 use trestle_proto::similarity::Similarity;
@@ -11,12 +11,12 @@ use trestle_proto::similarity::metric::kl;
 /// The most room that any mentor state leaves, node by node of the index over them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Room {
-    /// Never less than what is true: room only shrinks, and a node is brought up to date when it is looked at.
+    /// Never less than what is true: bridges only become shorter, and a node is brought up to date when it is looked at.
     most: Vec<u32>,
 }
 
 impl Room {
-    /// Forgets everything: room may have grown.
+    /// Forgets everything: annotations have been replaced, and room may have grown.
     pub(super) fn forget(&mut self) {
         self.most.clear();
     }
@@ -46,30 +46,15 @@ impl Room {
                 continue;
             }
             let mut largest = 0;
-            for &m in &tree.order()[node.start as usize..node.end as usize] {
-                let (m, steps) = (m as usize, room(m as usize));
+            for (m, state) in tree.points(at) {
+                let steps = room(m);
                 largest = largest.max(steps);
-                let kl = kl(from, similarity.state(m));
+                let kl = kl(from, state);
                 if steps > 0 && kl <= reach.limit(steps, reach.radius) {
                     visit(m, kl);
                 }
             }
-            self.lower(similarity, at, largest);
-        }
-    }
-
-    /// Sets what leaf `leaf` leaves, and what the nodes above it do.
-    fn lower(&mut self, similarity: &Similarity, leaf: usize, largest: u32) {
-        let nodes = similarity.tree().nodes();
-        let (mut at, mut largest) = (leaf, largest);
-        while largest < self.most[at] {
-            self.most[at] = largest;
-            if at == 0 {
-                return;
-            }
-            at = nodes[at].parent as usize;
-            let left = nodes[at].left as usize;
-            largest = self.most[left].max(self.most[left + 1]);
+            tree.lower(&mut self.most, at, largest);
         }
     }
 }

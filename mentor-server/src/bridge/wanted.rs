@@ -177,11 +177,7 @@ impl Newest<'_> {
         let most = (rule.k as u32).saturating_sub(2);
         let room_of = |m: usize| {
             let open = order.transition_of(m).filter(|&j| table.errors()[j] >= rule.e_infeas);
-            open.map_or(0, |j| match known(table, j, rule) {
-                Some(known) if known.end_kl == 0.0 => known.length.saturating_sub(2),
-                Some(known) => known.length.saturating_sub(3),
-                None => most,
-            })
+            open.map_or(0, |j| known(table, j, rule).map_or(most, |known| known.length.saturating_sub(2)))
         };
         room.around(self.from, (similarity, &self.reach, most), room_of, stack, |m, kl| {
             candidates.extend(order.transition_of(m).map(|j| (j, kl)));
