@@ -41,8 +41,8 @@ const TURNS: usize = 4096;
 /// Bridge search: transitions that one observer takes in before it is another's turn, and turns.
 const CHUNK: usize = 64;
 const CHUNKS: usize = 200;
-/// The naive bridge search is tried up to this many stored transitions, for mentor transitions that begin where so many
-/// of them do, and given up where one takes longer than this.
+/// The naive bridge search is tried up to this many stored transitions, so many times, for mentor transitions that begin
+/// where one of them does, and given up where one takes longer than this.
 const NAIVE_STORED: usize = 10_000;
 const NAIVE_TRIES: usize = 10;
 const NAIVE_LIMIT: Duration = Duration::from_secs(1);
@@ -252,7 +252,11 @@ impl<'a> Observer<'a> {
     /// The paper's Algorithm 1 for one infeasible mentor transition that the observer has come by, nanoseconds.
     fn naive(&self) -> Option<f64> {
         let (mut stack, mut hits, mut samples) = (Vec::new(), Vec::new(), Vec::new());
-        for index in (self.history.oldest()..self.history.end()).step_by(self.history.len() / NAIVE_TRIES) {
+        // Some begin nowhere near an infeasible transition of the mentor's.
+        for index in (self.history.oldest()..self.history.end()).step_by(self.history.len() / 1000) {
+            if samples.len() == NAIVE_TRIES {
+                break;
+            }
             let state = self.history.states.whitened(self.history.get(index).from);
             self.path.similarity.states(state, &mut stack, &mut hits);
             let infeasible = |&(j, _): &(usize, f32)| self.table.errors()[j] >= RULE.e_infeas;
