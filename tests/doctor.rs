@@ -66,13 +66,7 @@ fn a_run_that_was_killed_as_a_whole() {
     let dir = place.run("run");
     run.wait_for("an evaluation", || evaluations(&dir) > 0);
     let domain = crate::util::domain(&dir);
-    // Stopped, none of them can react to the end of another.
-    let all = crate::util::processes(dir.root());
-    assert_eq!(all.len(), 4);
-    all.iter().for_each(|(pid, _)| crate::util::send(*pid, Signal::SIGSTOP));
-    all.iter().for_each(|(pid, _)| crate::util::send(*pid, Signal::SIGKILL));
-    run.finish();
-    assert!(crate::util::wait_until(crate::util::LIMIT, || crate::util::processes(dir.root()).is_empty()));
+    crate::util::kill_all(run, &dir);
     assert!(!domain.shared_memory().unwrap().is_empty() && !domain.is_alive());
     let name = format!("{:08x}", domain.run());
     assert!(trestle(&["doctor"]).refused(&[]).stdout.contains(&name));

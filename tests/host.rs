@@ -62,7 +62,8 @@ fn as_much_shared_memory_as_is_asked_for() {
     assert_eq!(Trace::of(&dir), undisturbed);
 }
 
-/// Somebody fills shared memory, and then a process dies: the run ends with the reason, and can go on later.
+/// Somebody fills shared memory, and then the learner dies: the run ends with the reason, and can go on later. All processes
+/// are stopped meanwhile, so that none of the others dies first, for want of a page.
 #[test]
 fn no_room_for_a_restart() {
     let place = Place::new();
@@ -74,12 +75,13 @@ fn no_room_for_a_restart() {
     let root = dir.root().display();
     let script = format!(
         "{setup} && \"$@\" & run=$!; until [ -e {root}/last ]; do sleep 0.01; done; \
-         head -c 40000000 /dev/zero > /dev/shm/full; kill -9 $(pgrep -f '[l]earner --run {root}'); wait $run"
+         all=$(pgrep -f '[-]-run {root}'); kill -STOP $all; head -c 40000000 /dev/zero > /dev/shm/full; \
+         kill -9 $(pgrep -f 'learner [-]-run {root}'); kill -CONT $all; wait $run"
     );
     let more = ["--set", "checkpoint.every_env_steps=1000"];
     let args = place.training("run", &[&["maze-small", "--episodes", "1000000000"], &more[..]].concat());
     let outcome = start_under(&["unshare", "--mount", "sh", "-c", &script, "sh"], &args).finish();
-    outcome.refused(&["ended with signal", "not started again: /dev/shm has 0 MiB free"]);
+    outcome.refused(&["learner ended with signal", "not started again: /dev/shm has 0 MiB free"]);
     assert!(newest_checkpoint(&dir).is_some());
     assert!(processes(dir.root()).is_empty());
 }

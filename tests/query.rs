@@ -1,6 +1,6 @@
 //! `mentor/query`: any process may ask a running mentor-server, and the run does not notice.
 
-use crate::util::{LIMIT, Place, Trace, assert_gone, domain, start, wait_until};
+use crate::util::{LIMIT, Place, Process, Trace, assert_gone, domain, kill_all, start, wait_until};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -13,6 +13,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::transport::LinkError;
 use trestle_proto::transport::iceoryx::QueryClient;
 
+const ENDLESS: [&str; 5] = ["maze-small", "--env-steps", "1000000000", "--episodes", "1000000000"];
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "60000", "--seed", "9"];
 const DEADLINE: Duration = Duration::from_secs(10);
 
@@ -24,6 +25,23 @@ struct Asker {
 }
 
 impl Asker {
+    /// A client of the run in `dir`, once it has one to be.
+    fn of(dir: &RunDir) -> Option<Self> {
+        let plan = dir.read_plan().ok()?;
+        let client = QueryClient::new(&domain(dir), &plan).ok()?;
+        Some(Self { client, plan, answer: Vec::new() })
+    }
+
+    /// The same, as soon as the mentor-server answers.
+    fn wait_for(run: &mut Process, dir: &RunDir) -> Self {
+        let mut asker = None;
+        run.wait_for("the mentor-server", || {
+            asker = Self::of(dir);
+            asker.as_mut().is_some_and(|asker| asker.ask(STATS, 0, 0, &[]).is_ok())
+        });
+        asker.unwrap()
+    }
+
     fn ask(&mut self, op: u32, first: u32, count: u32, state: &[f32]) -> Result<u32, LinkError> {
         let request = QueryRequest { op, first, count, obs_dim: 2, ..QueryRequest::default() };
         let header = self.client.ask(&request, state, &mut self.answer, DEADLINE)?;
@@ -95,14 +113,7 @@ fn a_client_gets_sound_answers_and_the_run_does_not_notice() {
 
     let mut run = start(&place.training("asked", &ARGS));
     let dir = place.run("asked");
-    let mut client = None;
-    run.wait_for("the services", || {
-        client = dir.read_plan().ok().and_then(|plan| QueryClient::new(&domain(&dir), &plan).ok());
-        client.is_some()
-    });
-    let plan = dir.read_plan().unwrap();
-    let mut asker = Asker { client: client.unwrap(), plan, answer: Vec::new() };
-    run.wait_for("the mentor-server", || asker.ask(STATS, 0, 0, &[]).is_ok());
+    let mut asker = Asker::wait_for(&mut run, &dir);
 
     let len = asker.plan.mentor_len() as u32;
     assert_eq!(asker.ask(TRANSITIONS, 0, len, &[]).unwrap(), len);
@@ -134,17 +145,10 @@ fn clients_do_not_harm_each_other() {
     let undisturbed = place.train("alone", &ARGS);
     let mut run = start(&place.training("asked", &ARGS));
     let dir = place.run("asked");
-    let asker = || {
-        let plan = dir.read_plan().ok()?;
-        let client = QueryClient::new(&domain(&dir), &plan).ok()?;
-        Some(Asker { client, plan, answer: Vec::new() })
-    };
-    run.wait_for("the mentor-server", || {
-        asker().is_some_and(|mut asker| asker.ask(STATS, 0, 0, &[]).is_ok())
-    });
+    Asker::wait_for(&mut run, &dir);
 
     let patient = || {
-        let mut asker = asker().unwrap();
+        let mut asker = Asker::of(&dir).unwrap();
         let len = asker.plan.mentor_len() as u32;
         let mut transitions = MentorTransitions::new(2);
         asker.ask(TRANSITIONS, 0, len, &[]).unwrap();
@@ -162,7 +166,7 @@ fn clients_do_not_harm_each_other() {
     };
     let impatient = || {
         let mut questions = 0;
-        while let Some(asker) = asker() {
+        while let Some(asker) = Asker::of(&dir) {
             // The last of these leaves with its question unanswered.
             for _ in 0..5 {
                 let request = QueryRequest { op: STATS, obs_dim: 2, ..QueryRequest::default() };
@@ -188,6 +192,26 @@ fn clients_do_not_harm_each_other() {
     assert_eq!(Trace::of(&dir), undisturbed);
 }
 
+/// Joining a run that is over, or becomes so meanwhile, would make its directory anew.
+#[test]
+fn a_client_that_comes_too_late_leaves_nothing() {
+    let place = Place::alone();
+    let mut run = start(&place.training("run", &ENDLESS));
+    let dir = place.run("run");
+    Asker::wait_for(&mut run, &dir);
+    let early = Asker::of(&dir).unwrap();
+    kill_all(run, &dir);
+    assert!(domain(&dir).root().exists());
+    let late = QueryClient::new(&domain(&dir), &early.plan).unwrap_err();
+    assert_eq!(late.to_string(), "joining the run: it is not in progress");
+    assert_gone(&dir);
+    // As if it had been joining while the run was removed.
+    domain(&dir).node().unwrap();
+    assert!(domain(&dir).root().exists());
+    drop(early);
+    assert_gone(&dir);
+}
+
 /// A run's directory, for the process that [`killed_clients_leave_nothing`] kills.
 const VICTIM: &str = "TRESTLE_TEST_VICTIM";
 
@@ -196,10 +220,7 @@ const VICTIM: &str = "TRESTLE_TEST_VICTIM";
 #[test]
 fn killed_clients_leave_nothing() {
     let ask_for_ever = |dir: &Path| {
-        let dir = RunDir::new(dir);
-        let plan = dir.read_plan().unwrap();
-        let client = QueryClient::new(&domain(&dir), &plan).unwrap();
-        let mut asker = Asker { client, plan, answer: Vec::new() };
+        let mut asker = Asker::of(&RunDir::new(dir)).unwrap();
         loop {
             asker.ask(STATS, 0, 0, &[]).unwrap();
             println!("answered");
@@ -212,17 +233,7 @@ fn killed_clients_leave_nothing() {
     let undisturbed = place.train("alone", &ARGS);
     let mut run = start(&place.training("asked", &ARGS));
     let dir = place.run("asked");
-    let asker = || {
-        let plan = dir.read_plan().ok()?;
-        let client = QueryClient::new(&domain(&dir), &plan).ok()?;
-        Some(Asker { client, plan, answer: Vec::new() })
-    };
-    let mut survivor = None;
-    run.wait_for("the mentor-server", || {
-        survivor = asker();
-        survivor.as_mut().is_some_and(|asker| asker.ask(STATS, 0, 0, &[]).is_ok())
-    });
-    let mut survivor = survivor.unwrap();
+    let mut survivor = Asker::wait_for(&mut run, &dir);
     for _ in 0..3 {
         let mut victim = Command::new(std::env::current_exe().unwrap())
             .args(["query::killed_clients_leave_nothing", "--exact", "--nocapture"])

@@ -285,6 +285,17 @@ pub(crate) fn process(dir: &Path, role: &str) -> Option<u32> {
     processes(dir).into_iter().find(|(_, args)| name(args) == role).map(|(pid, _)| pid)
 }
 
+/// Kills all four processes of `run` at once, so that none of them can remove anything.
+pub(crate) fn kill_all(run: Process, dir: &RunDir) {
+    let all = processes(dir.root());
+    assert_eq!(all.len(), 4);
+    // Stopped, none of them can react to the end of another.
+    all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGSTOP));
+    all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGKILL));
+    run.finish();
+    assert!(wait_until(LIMIT, || processes(dir.root()).is_empty()));
+}
+
 /// The place of the run's shared memory.
 pub(crate) fn domain(dir: &RunDir) -> Domain {
     Domain::of(dir.read_plan().unwrap().run)
@@ -294,8 +305,14 @@ pub(crate) fn domain(dir: &RunDir) -> Domain {
 pub(crate) fn assert_gone(dir: &RunDir) {
     assert_eq!(processes(dir.root()), []);
     let domain = domain(dir);
-    assert_eq!(domain.shared_memory().unwrap(), [] as [PathBuf; 0]);
-    assert!(!domain.root().exists());
+    assert_eq!(domain.shared_memory().unwrap(), [] as [PathBuf; 0], "{}", logs(dir));
+    assert!(!domain.root().exists(), "{}", logs(dir));
+}
+
+/// What all of the run's processes have logged.
+fn logs(dir: &RunDir) -> String {
+    let files = fs::read_dir(dir.root().join("logs")).unwrap().map(|entry| entry.unwrap().path());
+    files.map(|file| format!("{}:\n{}", file.display(), fs::read_to_string(&file).unwrap())).collect()
 }
 
 /// Waits until the run has neither processes nor anything in shared memory.

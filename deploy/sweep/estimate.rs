@@ -1,6 +1,6 @@
 //! How long a sweep will take, from what is known of its arms.
 //!
-//! Before the first run of an arm has ended only a bound is known: the steps that a run can take at the most, at the rate of
+//! Before the first run of an arm has ended, now or before the sweep was resumed, only a bound is known: the steps that a run can take at the most, at the rate of
 //! a short probe. Once runs have ended, their mean time is what the others of the arm are expected to take.
 
 use std::time::Duration;
@@ -28,9 +28,14 @@ impl Pace {
         self.ended_s += seconds;
     }
 
+    /// Whether a run has ended.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.ended > 0
+    }
+
     /// Seconds that a run is expected to take.
     fn expected_s(&self) -> f64 {
-        if self.ended == 0 { self.most_s } else { self.ended_s / f64::from(self.ended) }
+        if self.is_measured() { self.ended_s / f64::from(self.ended) } else { self.most_s }
     }
 }
 
@@ -49,7 +54,7 @@ pub(crate) fn seconds_left(arms: &[(Option<Pace>, usize)], jobs: usize) -> f64 {
 
 /// Whether all arms with runs left have one that has ended.
 pub(crate) fn is_measured(arms: &[(Option<Pace>, usize)]) -> bool {
-    arms.iter().all(|(pace, left)| *left == 0 || pace.is_some_and(|pace| pace.ended > 0))
+    arms.iter().all(|(pace, left)| *left == 0 || pace.is_some_and(|pace| pace.is_measured()))
 }
 
 /// `seconds` for people.

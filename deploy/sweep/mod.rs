@@ -114,11 +114,6 @@ impl Sweep {
     async fn all(&self) -> Result<Swept> {
         let mut signals = Signals::new()?;
         let mut outcomes: Vec<Option<Outcome>> = self.jobs.iter().map(finished).collect();
-        for (job, outcome) in self.jobs.iter().zip(&outcomes) {
-            if let Some(Outcome::Failed(error)) = outcome {
-                crate::output::say(&format!("{} seed {}: failed: {error}", self.arms[job.arm], job.seed));
-            }
-        }
         for (at, outcome) in outcomes.iter().enumerate() {
             if let Some(Outcome::Failed(error)) = outcome {
                 crate::output::say(&format!("{}: failed: {error}", self.name(at)));
@@ -135,8 +130,9 @@ impl Sweep {
                 self.jobs.len(),
                 self.at_once
             ));
+            let known = self.paces(&outcomes);
             tokio::select! {
-                paces = self.probe(&queue) => paces,
+                paces = self.probe(known, &queue) => paces,
                 () = signals.any() => return Ok(Swept { outcomes: unfinished(outcomes), interrupted: true }),
             }
         };
@@ -178,11 +174,23 @@ impl Sweep {
         format!("{} seed {}", self.arms[job.arm], job.seed)
     }
 
-    /// The pace of each arm that has runs in `queue`, from a short run of it in a directory that goes again. As many
-    /// at once as there will be runs. An arm whose probe fails has no pace: what is wrong will be said of its runs.
-    async fn probe(&self, queue: &VecDeque<usize>) -> Vec<Option<Pace>> {
+    /// The pace of each arm of which runs are finished already.
+    fn paces(&self, outcomes: &[Option<Outcome>]) -> Vec<Option<Pace>> {
         let mut paces = vec![None; self.arms.len()];
+        for (job, outcome) in self.jobs.iter().zip(outcomes) {
+            if let Some(Outcome::Complete(result)) = outcome {
+                paces[job.arm].get_or_insert_with(Pace::default).ended(result.wall_s);
+            }
+        }
+        paces
+    }
+
+    /// The `paces` that are known, and that of each other arm with runs in `queue` from a short run of it in a directory
+    /// that goes again. As many at once as there will be runs. An arm whose probe fails has no pace: what is wrong will be
+    /// said of its runs.
+    async fn probe(&self, mut paces: Vec<Option<Pace>>, queue: &VecDeque<usize>) -> Vec<Option<Pace>> {
         let mut waiting: VecDeque<usize> = (0..self.arms.len())
+            .filter(|&arm| paces[arm].is_none())
             .filter_map(|arm| queue.iter().copied().find(|&at| self.jobs[at].arm == arm))
             .collect();
         let mut running: JoinSet<(usize, Result<f64>)> = JoinSet::new();

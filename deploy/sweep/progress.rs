@@ -35,11 +35,15 @@ impl<'a> Progress<'a> {
     /// Says how long it will take.
     pub(super) fn announce(&self) {
         if !self.paces.is_empty() {
-            let most = seconds_left(&self.paces, self.sweep.at_once);
-            self.say(&format!(
-                "at most {}, if every run takes as many steps as it may, at the rate of a short probe of each arm",
-                duration(most)
-            ));
+            let left = duration(seconds_left(&self.paces, self.sweep.at_once));
+            self.say(&if is_measured(&self.paces) {
+                format!("about {left}, if the others take as long as the runs that are finished")
+            } else {
+                format!(
+                    "at most {left}: the runs of an arm of which none is finished take as many steps as they may, at the \
+                     rate of a short probe"
+                )
+            });
         }
         let unknown =
             self.paces.iter().zip(&self.sweep.arms).filter(|((pace, left), _)| pace.is_none() && *left > 0);

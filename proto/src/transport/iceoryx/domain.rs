@@ -249,12 +249,15 @@ fn own(path: &Path) -> Result<(), DomainError> {
 }
 
 /// When process `pid` started, in the kernel's clock ticks since boot (proc(5), `stat`, field 22); none if there is
-/// no such process. Tells a process from a later one with the same id.
+/// no such process, or if it has ended and its parent has not asked for its status yet (field 3). Tells a process from a
+/// later one with the same id.
 fn start_time(pid: u32) -> Option<String> {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     // The second field is the command in parentheses and may itself contain blanks and parentheses.
     let (_, fields) = stat.rsplit_once(')')?;
-    fields.split_whitespace().nth(19).map(String::from)
+    let mut fields = fields.split_whitespace();
+    fields.next().filter(|state| !["Z", "X"].contains(state))?;
+    fields.nth(18).map(String::from)
 }
 
 #[cfg(test)]

@@ -124,8 +124,26 @@ pub struct Services {
     pub(super) wake_mentor: Wake,
     pub(super) wake_actors: Wake,
     pub(super) wake_clients: Wake,
-    /// Last, so that it goes after everything that lives in it.
+    /// Goes after everything that lives in it.
     pub(super) node: Node<Ipc>,
+    /// Goes after everything that leaves a file.
+    _departure: Departure,
+}
+
+/// Removes a run whose supervisor is gone when it is dropped. Whoever joins a run holds one from before: the run may have
+/// ended, and been removed, while it joined.
+#[derive(Debug)]
+struct Departure(Domain);
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        if self.0.is_alive() {
+            return;
+        }
+        if let Err(error) = self.0.remove() {
+            tracing::error!("cannot remove what the run shared: {error}; `trestle doctor --fix` can");
+        }
+    }
 }
 
 /// Ends a builder the one or the other way.
@@ -155,11 +173,8 @@ impl Services {
     /// Opens every service of `plan`'s run.
     ///
     /// # Errors
-    /// There is no supervisor that holds them: to join such a run would leave files that nobody removes.
+    /// There is no supervisor that holds them; what is left of such a run is removed.
     pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
-        if !domain.is_alive() {
-            return Err(failed("joining the run")("it is not in progress"));
-        }
         Self::build(domain, plan, false)
     }
 
@@ -169,6 +184,10 @@ impl Services {
     }
 
     fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
+        let departure = Departure(domain.clone());
+        if !domain.is_alive() {
+            return Err(failed("joining the run")("it is not in progress"));
+        }
         let node = domain.node().map_err(failed("joining the run"))?;
         let sizes = Sizes::of(plan);
         let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
@@ -295,6 +314,7 @@ impl Services {
             wake_clients: wake("wake/clients", MAX_QUERY_CLIENTS)?,
             node,
             sizes,
+            _departure: departure,
         })
     }
 }
