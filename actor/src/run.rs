@@ -44,7 +44,6 @@ pub fn run(
 ) -> Result<Left, RunError> {
     link.hello(stop)?;
     tracing::info!("ready");
-    let mut acting = vec![0.0; worker.n_acting()];
     let mut batch = Batch::with_capacity(rollout, worker.obs_dim());
     while !stop() {
         pulse::step();
@@ -52,13 +51,11 @@ pub fn run(
         logging::set_tick(tick.tick);
         match tick.kind {
             COLLECT => {
-                link.weights(tick.weights_version, &mut acting)?;
-                worker.collect(&acting, &tick, &mut batch)?;
+                worker.collect(link.weights(tick.weights_version)?, &tick, &mut batch)?;
                 link.send_batch(&batch)?;
             }
             EVALUATE if worker.index() == 0 => {
-                link.weights(tick.weights_version, &mut acting)?;
-                let evaluation = worker.evaluate(&acting, &tick)?;
+                let evaluation = worker.evaluate(link.weights(tick.weights_version)?, &tick)?;
                 let payload = codec::encode(EVALUATION_KIND, &evaluation)?;
                 link.send_reply(&Reply { header: header(worker, &tick, EVALUATION), payload })?;
             }

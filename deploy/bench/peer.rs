@@ -90,7 +90,7 @@ fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() ->
     link.hello(stop)?;
     while !stop() {
         let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
-        link.weights(tick.weights_version, &mut actor.params)?;
+        link.weights(tick.weights_version)?;
         let batch = actor.answer(&tick);
         for _ in 0..burst {
             link.send_batch(batch)?;

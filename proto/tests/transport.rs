@@ -49,13 +49,12 @@ fn weights(version: u64) -> Vec<f32> {
 /// An actor that answers each tick with what tells it apart, until it is stopped.
 fn act(mut link: impl ActorLink, index: u32) {
     link.hello(&|| false).unwrap();
-    let mut params = weights(0);
     let mut batch = Batch::with_capacity(4, 2);
     loop {
         let Some(tick) = link.recv_tick(LONG).unwrap() else { continue };
         match tick.kind {
             COLLECT => {
-                link.weights(tick.weights_version, &mut params).unwrap();
+                let params = link.weights(tick.weights_version).unwrap().to_vec();
                 assert_eq!(params, weights(tick.weights_version));
                 let (run, actor, count) = (tick.run, index, tick.amount);
                 batch.prepare(BatchHeader {

@@ -33,6 +33,8 @@ pub struct LocalActor {
     run: u64,
     sizes: Vec<u32>,
     weights: Weights,
+    /// The weights received last.
+    copy: Vec<f32>,
     ticks: Receiver<Tick>,
     learner: SyncSender<ToLearner>,
 }
@@ -69,6 +71,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
             run: plan.run,
             sizes: sizes.clone(),
             weights: weights.clone(),
+            copy: Vec::new(),
             ticks,
             learner: to_learner.clone(),
         })
@@ -113,14 +116,15 @@ impl ActorLink for LocalActor {
         Ok(tick)
     }
 
-    fn weights(&mut self, version: u64, into: &mut [f32]) -> Result<(), LinkError> {
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
         let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
         let (header, weights) = newest
             .as_ref()
             .ok_or_else(|| LinkError::Unexpected(format!("a tick for weights {version}, but no weights")))?;
-        header.receive(self.run, &self.sizes, weights, into)?;
+        self.copy.resize(weights.len(), 0.0);
+        header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
         if header.version == version {
-            return Ok(());
+            return Ok(&self.copy);
         }
         Err(WeightsError::Version { found: header.version, expected: version }.into())
     }

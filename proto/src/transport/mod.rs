@@ -104,8 +104,8 @@ pub trait ActorLink {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// The next tick, if one comes within `timeout`.
     fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError>;
-    /// Copies the newest published weights into `into`; they must be `version`.
-    fn weights(&mut self, version: u64, into: &mut [f32]) -> Result<(), LinkError>;
+    /// The newest published weights, checked; they must be `version`.
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.

@@ -122,7 +122,7 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_tick())
     }
 
-    fn weights(&mut self, version: u64, into: &mut [f32]) -> Result<(), LinkError> {
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
         while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
             let header = *sample.user_header();
             header.receive(
@@ -134,10 +134,7 @@ impl ActorLink for IceoryxActor {
             self.newest = Some(header.version);
         }
         match self.newest {
-            Some(found) if found == version => {
-                into.copy_from_slice(&self.copy);
-                Ok(())
-            }
+            Some(found) if found == version => Ok(&self.copy),
             Some(found) => Err(crate::weights::WeightsError::Version { found, expected: version }.into()),
             None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
         }

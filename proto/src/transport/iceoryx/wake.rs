@@ -5,10 +5,11 @@
 
 use super::{Ipc, failed};
 use crate::transport::LinkError;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
+use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::EventId;
 use iceoryx2::service::port_factory::event::PortFactory;
+use iceoryx2_bb_posix::file_descriptor_set::{FileDescriptorSet, FileDescriptorSetWaitError, FileEvent};
 use std::time::{Duration, Instant};
 
 /// Something to receive.
@@ -29,16 +30,24 @@ pub(super) const DEAD: usize = 254;
 pub(super) const LAST: usize = 254;
 
 /// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come.
+///
+/// By `select` and then without waiting: the listener's own wait with a timeout makes its socket blocking and back, and sets
+/// the timeout, by five system calls more.
 pub(super) fn sleep(
     listener: &Listener<Ipc>,
     timeout: Duration,
     mut on_event: impl FnMut(usize),
 ) -> Result<(), LinkError> {
-    match listener.timed_wait(|event| on_event(event.id.as_value()), timeout) {
+    let sources = FileDescriptorSet::new();
+    let _guard = sources.add(listener).map_err(failed("waiting for an event"))?;
+    match sources.timed_wait(timeout, FileEvent::Read, |_| {}) {
+        Ok(0) => return Ok(()),
         // A signal for this process: its handler has set a flag that the caller looks at.
-        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
-        Err(e) => Err(failed("waiting for an event")(e)),
+        Err(FileDescriptorSetWaitError::Interrupt) => return Ok(()),
+        Ok(_) => {}
+        Err(e) => return Err(failed("waiting for an event")(e)),
     }
+    listener.try_wait(|event| on_event(event.id.as_value())).map(|_| ()).map_err(failed("draining events"))
 }
 
 /// Polls until `poll` gives something or `timeout` is over, asleep in between. A wake-up need not mean data: the
