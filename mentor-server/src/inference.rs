@@ -18,7 +18,6 @@ use crate::demonstration::transitions;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::config::MetricKind;
 use trestle_proto::similarity::Hit;
-use trestle_proto::similarity::metric::kl;
 use trestle_proto::similarity::tree::Tree;
 
 /// An observer transition, as inference sees it.
@@ -41,7 +40,9 @@ pub struct Observation<'a> {
 pub struct Inference {
     dim: usize,
     rule: Rule,
+    /// Working memory: nodes to visit, and the observer's states side by side.
     stack: Vec<u32>,
+    pair: Vec<f32>,
 }
 
 #[derive(Clone, Debug)]
@@ -49,8 +50,6 @@ enum Rule {
     Kl {
         /// Over s_m and s'_m side by side.
         tree: Tree,
-        /// The leaf that holds each transition.
-        leaf: Vec<u32>,
         /// The largest error below each node.
         worst: Vec<f32>,
     },
@@ -69,25 +68,21 @@ impl Inference {
                 let pairs: Vec<f32> =
                     (0..order.n_transitions()).flat_map(|j| [ends(j).0, ends(j).1].concat()).collect();
                 let tree = Tree::new(&pairs, 2 * dim);
-                let mut leaf = vec![0; order.n_transitions()];
-                for (at, _) in tree.nodes().iter().enumerate().filter(|(_, node)| node.left == 0) {
-                    tree.points(at).for_each(|(j, _)| leaf[j] = at as u32);
-                }
-                let worst = vec![f32::INFINITY; tree.nodes().len()];
-                Rule::Kl { tree, leaf, worst }
+                let worst = vec![f32::INFINITY; tree.n_nodes()];
+                Rule::Kl { tree, worst }
             }
             MetricKind::Delta => {
                 let change = |j| ends(j).1.iter().zip(ends(j).0).map(|(b, a)| b - a).collect::<Vec<_>>();
                 Rule::Delta { changes: (0..order.n_transitions()).flat_map(change).collect() }
             }
         };
-        Self { dim, rule, stack: Vec::new() }
+        Self { dim, rule, stack: Vec::new(), pair: Vec::new() }
     }
 
     /// Takes over errors that were found elsewhere: one for each mentor transition.
     pub fn restore(&mut self, errors: &[f32]) {
         let Rule::Kl { tree, worst, .. } = &mut self.rule else { return };
-        // Parents come before their halves.
+        // Parents come before their children.
         for at in (0..worst.len()).rev() {
             worst[at] = worst_of(tree, worst, errors, at);
         }
@@ -104,31 +99,36 @@ impl Inference {
     ) {
         let dim = self.dim;
         match &mut self.rule {
-            Rule::Kl { tree, leaf, worst } => {
+            Rule::Kl { tree, worst } => {
+                self.pair.clear();
+                self.pair.extend_from_slice(seen.state);
+                self.pair.extend_from_slice(seen.next);
                 self.stack.clear();
                 self.stack.push(0);
                 while let Some(at) = self.stack.pop() {
                     let at = at as usize;
-                    let node = &tree.nodes()[at];
-                    if tree.lower_bound(at, seen.state, seen.next) > worst[at] {
+                    let children = tree.children(at);
+                    if !children.is_empty() {
+                        for (child, bound) in children.zip(tree.lower_bounds(at, &self.pair)) {
+                            if bound <= worst[child] {
+                                self.stack.push(child as u32);
+                            }
+                        }
                         continue;
                     }
-                    if node.left != 0 {
-                        self.stack.extend([node.left + 1, node.left]);
-                        continue;
-                    }
-                    for (j, pair) in tree.points(at) {
-                        let (s, next) = pair.split_at(dim);
-                        let error = kl(seen.state, s) + kl(seen.next, next);
+                    let errors = tree.kl(at, 0, seen.state).into_iter().zip(tree.kl(at, dim, seen.next));
+                    let mut has_fallen = false;
+                    for (&j, (first, second)) in tree.numbers(at).iter().zip(errors) {
+                        let (j, error) = (j as usize, first + second);
                         let before = table.errors()[j];
                         if improve(table, j, error, seen) {
                             improved(j, before, error);
-                            if before == worst[leaf[j] as usize] {
-                                let leaf = leaf[j] as usize;
-                                let largest = worst_of(tree, worst, table.errors(), leaf);
-                                tree.lower(worst, leaf, largest);
-                            }
+                            has_fallen |= before == worst[at];
                         }
+                    }
+                    if has_fallen {
+                        let largest = worst_of(tree, worst, table.errors(), at);
+                        tree.lower(worst, at, largest);
                     }
                 }
             }
@@ -164,11 +164,8 @@ fn improve(table: &mut AnnotationTable, j: usize, error: f32, seen: &Observation
 }
 
 fn worst_of(tree: &Tree, worst: &[f32], errors: &[f32], at: usize) -> f32 {
-    let node = &tree.nodes()[at];
-    if node.left != 0 {
-        return worst[node.left as usize].max(worst[node.left as usize + 1]);
-    }
-    tree.points(at).map(|(j, _)| errors[j]).fold(0.0, f32::max)
+    let below = tree.numbers(at).iter().map(|&j| errors[j as usize]);
+    below.chain(worst[tree.children(at)].iter().copied()).fold(0.0, f32::max)
 }
 
 #[cfg(test)]
@@ -179,6 +176,7 @@ mod tests {
     use crate::testing::{cases, points};
     use proptest::prelude::*;
     use trestle_proto::similarity::Similarity;
+    use trestle_proto::similarity::metric::kl;
 
     const E_TH: f32 = 0.6;
 

@@ -6,7 +6,6 @@
 
 use super::wanted::Reach;
 use trestle_proto::similarity::Similarity;
-use trestle_proto::similarity::metric::kl;
 
 /// The most room that any mentor state leaves, node by node of the index over them.
 #[derive(Clone, Debug, Default)]
@@ -32,26 +31,27 @@ impl Room {
         mut visit: impl FnMut(usize, f32),
     ) {
         let tree = similarity.tree();
-        self.most.resize(tree.nodes().len(), most);
+        self.most.resize(tree.n_nodes(), most);
+        let is_room = |steps: u32, kl: f32| steps > 0 && kl <= reach.limit(steps, reach.radius);
         stack.clear();
         stack.push(0);
         while let Some(at) = stack.pop() {
             let at = at as usize;
-            let (node, steps) = (&tree.nodes()[at], self.most[at]);
-            if steps == 0 || tree.lower_bound(at, from, &[]) > reach.limit(steps, reach.radius) {
-                continue;
-            }
-            if node.left != 0 {
-                stack.extend([node.left + 1, node.left]);
+            let children = tree.children(at);
+            if !children.is_empty() {
+                for (child, bound) in children.zip(tree.lower_bounds(at, from)) {
+                    if is_room(self.most[child], bound) {
+                        stack.push(child as u32);
+                    }
+                }
                 continue;
             }
             let mut largest = 0;
-            for (m, state) in tree.points(at) {
-                let steps = room(m);
+            for (&m, kl) in tree.numbers(at).iter().zip(tree.kl(at, 0, from)) {
+                let steps = room(m as usize);
                 largest = largest.max(steps);
-                let kl = kl(from, state);
-                if steps > 0 && kl <= reach.limit(steps, reach.radius) {
-                    visit(m, kl);
+                if is_room(steps, kl) {
+                    visit(m as usize, kl);
                 }
             }
             tree.lower(&mut self.most, at, largest);

@@ -50,12 +50,7 @@ impl Similarity {
     /// memory.
     pub fn states(&self, state: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         hits.clear();
-        self.tree.candidates(state, self.e_th, stack, |m, point| {
-            let kl = kl(state, point);
-            if kl <= self.e_th {
-                hits.push(Hit { state: m as u32, kl });
-            }
-        });
+        self.tree.within(state, self.e_th, stack, |m, kl| hits.push(Hit { state: m as u32, kl }));
         hits.sort_unstable_by_key(|hit| hit.state);
     }
 

@@ -3,154 +3,202 @@
 //!
 //! The points are sorted by repeated halving along the widest side of their box and never move. Halving is by
 //! position, not by value, so any number of equal points is as good as any other set. Boxes only rule out what cannot
-//! be in reach; every point that remains is for the caller to test, so what is found is exact.
+//! be in reach; every point that remains is tested, so what is found is exact.
+//!
+//! A node has up to [`WIDTH`] children, or as many points, and their coordinates lie together, feature by feature: a query
+//! compares itself with all of them at once, and what it needs next comes into the cache in one piece.
 
-/// Points in a leaf, at most.
-const LEAF: usize = 8;
+use std::ops::Range;
+
+/// Children of a node, at most, and points of a leaf.
+pub const WIDTH: usize = 8;
+/// Halvings that make the children of a node.
+const HALVINGS: u32 = WIDTH.ilog2();
 /// Boxes promise slightly less than they could, so that rounding never rules out a point in reach: sums of the largest
 /// number of squares (two states of 4096 features) in different orders differ by a thousandth at most.
 const MARGIN: f32 = 0.998;
 
-/// A part of the points ([`Tree::points`]), with its bounding box. The two halves of an inner node are `left` and `left + 1`.
+/// One number for each child or point of a node; what is said of those that it does not have means nothing.
+pub type Lanes = [f32; WIDTH];
+
 #[derive(Clone, Debug)]
-pub struct Node {
-    start: u32,
-    end: u32,
-    /// Number of the first half's node; 0 for a leaf.
-    pub left: u32,
+struct Node {
+    /// Number of the first child, or place of the first point; the others follow.
+    first: u32,
+    count: u32,
+    leaf: bool,
     /// Number of the parent; the root's is 0.
-    pub parent: u32,
+    parent: u32,
 }
 
-/// The tree. Memory: 16 bytes and two points for each node, about a node for every three points; 4 bytes and the point for
-/// each point.
+/// The tree. Nodes are numbered from the root, 0, and a parent comes before its children. Memory: with `dim` features
+/// 64 `dim` bytes and some a node, about a node for every five points.
 #[derive(Clone, Debug)]
 pub struct Tree {
     dim: usize,
+    /// The points' numbers, those of a leaf side by side.
     order: Vec<u32>,
-    /// The points in that order, so that those of a leaf lie side by side.
-    points: Vec<f32>,
     nodes: Vec<Node>,
-    /// Lower corner, then upper corner of each node's box.
-    boxes: Vec<f32>,
+    /// 2 `dim` rows a node: the lower corners of its children's boxes, feature by feature, and then the upper ones; or the
+    /// points of a leaf, and as many rows without a meaning.
+    rows: Vec<Lanes>,
 }
 
 impl Tree {
     /// A tree over `points` (row-major, `dim` numbers each, all finite, fewer than 2^31 points).
     pub fn new(points: &[f32], dim: usize) -> Self {
         let count = points.len() / dim;
-        let mut tree = Self {
-            dim,
-            order: (0..count as u32).collect(),
-            points: Vec::new(),
-            nodes: Vec::new(),
-            boxes: Vec::new(),
-        };
-        tree.push(points, 0, count, 0);
+        let order = (0..count as u32).collect();
+        let mut tree = Self { dim, order, nodes: Vec::new(), rows: Vec::new() };
+        tree.push(0..count, 0);
         let mut at = 0;
         while at < tree.nodes.len() {
-            let (start, end) = (tree.nodes[at].start as usize, tree.nodes[at].end as usize);
-            if end - start > LEAF {
-                let axis = tree.widest(at);
-                let middle = start + (end - start) / 2;
-                let key = |&i: &u32| points[i as usize * dim + axis];
-                tree.order[start..end]
-                    .select_nth_unstable_by(middle - start, |a, b| key(a).total_cmp(&key(b)).then(a.cmp(b)));
-                tree.nodes[at].left = tree.nodes.len() as u32;
-                tree.push(points, start, middle, at);
-                tree.push(points, middle, end, at);
+            let range = tree.points(at);
+            if range.len() > WIDTH {
+                let parts = tree.split(points, range);
+                (tree.nodes[at].first, tree.nodes[at].count) = (tree.nodes.len() as u32, parts.len() as u32);
+                for (lane, part) in parts.into_iter().enumerate() {
+                    let (low, high) = tree.bounds(points, part.clone());
+                    let rows = tree.rows[2 * at * dim..].iter_mut();
+                    rows.zip(low.into_iter().chain(high)).for_each(|(row, x)| row[lane] = x);
+                    tree.push(part, at);
+                }
+            } else {
+                tree.nodes[at].leaf = true;
+                for (lane, place) in range.enumerate() {
+                    let point = &points[tree.order[place] as usize * dim..][..dim];
+                    tree.rows[2 * at * dim..].iter_mut().zip(point).for_each(|(row, &x)| row[lane] = x);
+                }
             }
             at += 1;
         }
-        let point = |&i: &u32| &points[i as usize * dim..][..dim];
-        tree.points = tree.order.iter().flat_map(point).copied().collect();
         tree
     }
 
-    /// Appends a node and its box.
-    fn push(&mut self, points: &[f32], start: usize, end: usize, parent: usize) {
-        let at = self.boxes.len();
-        self.boxes.resize(at + self.dim, f32::INFINITY);
-        self.boxes.resize(at + 2 * self.dim, f32::NEG_INFINITY);
-        let (low, high) = self.boxes[at..].split_at_mut(self.dim);
-        for &i in &self.order[start..end] {
+    /// Appends a node that has the points of `range` for the present, and whose rows are empty.
+    fn push(&mut self, range: Range<usize>, parent: usize) {
+        let (first, count) = (range.start as u32, range.len() as u32);
+        self.nodes.push(Node { first, count, leaf: false, parent: parent as u32 });
+        self.rows.resize(self.rows.len() + 2 * self.dim, [0.0; WIDTH]);
+    }
+
+    /// The places of the points of a node that has no children.
+    fn points(&self, at: usize) -> Range<usize> {
+        let node = &self.nodes[at];
+        node.first as usize..(node.first + node.count) as usize
+    }
+
+    /// Sorts the points of `range` into up to [`WIDTH`] parts that lie apart.
+    fn split(&mut self, points: &[f32], range: Range<usize>) -> Vec<Range<usize>> {
+        let mut parts = vec![range];
+        for _ in 0..HALVINGS {
+            for part in std::mem::take(&mut parts) {
+                if part.len() <= WIDTH {
+                    parts.push(part);
+                    continue;
+                }
+                let (low, high) = self.bounds(points, part.clone());
+                let side = |axis: usize| high[axis] - low[axis];
+                // The first of equals.
+                let widest =
+                    (1..self.dim).fold(0, |best, axis| if side(axis) > side(best) { axis } else { best });
+                let key = |&i: &u32| points[i as usize * self.dim + widest];
+                let half = part.len() / 2;
+                self.order[part.clone()]
+                    .select_nth_unstable_by(half, |a, b| key(a).total_cmp(&key(b)).then(a.cmp(b)));
+                parts.extend([part.start..part.start + half, part.start + half..part.end]);
+            }
+        }
+        parts
+    }
+
+    /// The corners of the box around the points of `range`.
+    fn bounds(&self, points: &[f32], range: Range<usize>) -> (Vec<f32>, Vec<f32>) {
+        let (mut low, mut high) = (vec![f32::INFINITY; self.dim], vec![f32::NEG_INFINITY; self.dim]);
+        for &i in &self.order[range] {
             let point = &points[i as usize * self.dim..][..self.dim];
             low.iter_mut().zip(point).for_each(|(l, &x)| *l = l.min(x));
             high.iter_mut().zip(point).for_each(|(h, &x)| *h = h.max(x));
         }
-        self.nodes.push(Node { start: start as u32, end: end as u32, left: 0, parent: parent as u32 });
+        (low, high)
     }
 
-    /// The axis along which node `at` is widest; the first of equals.
-    fn widest(&self, at: usize) -> usize {
-        let (low, high) = self.bounds(at);
-        let side = |axis: usize| high[axis] - low[axis];
-        (1..self.dim).fold(0, |best, axis| if side(axis) > side(best) { axis } else { best })
+    /// How many nodes there are.
+    pub fn n_nodes(&self) -> usize {
+        self.nodes.len()
     }
 
-    fn bounds(&self, at: usize) -> (&[f32], &[f32]) {
-        self.boxes[2 * at * self.dim..][..2 * self.dim].split_at(self.dim)
+    /// The children of node `at`; none for a leaf.
+    pub fn children(&self, at: usize) -> Range<usize> {
+        if self.nodes[at].leaf { 0..0 } else { self.points(at) }
     }
 
-    /// The points of node `at`, each with its number.
-    pub fn points(&self, at: usize) -> impl Iterator<Item = (usize, &[f32])> {
-        let (start, end) = (self.nodes[at].start as usize, self.nodes[at].end as usize);
-        let points = self.points[start * self.dim..end * self.dim].chunks_exact(self.dim);
-        self.order[start..end].iter().map(|&i| i as usize).zip(points)
+    /// The numbers of the points of leaf `at`; none for another node.
+    pub fn numbers(&self, at: usize) -> &[u32] {
+        if self.nodes[at].leaf { &self.order[self.points(at)] } else { &[] }
     }
 
-    /// All nodes; number 0 is the root, and a parent comes before its halves.
-    pub fn nodes(&self) -> &[Node] {
-        &self.nodes
+    /// For each child of node `at` a lower bound of the KL divergence (half the squared distance) of the point `query` to
+    /// every point below the child, as [`super::metric::kl`] would compute it in whatever order of summation.
+    pub fn lower_bounds(&self, at: usize, query: &[f32]) -> Lanes {
+        let (low, high) = self.rows[2 * at * self.dim..][..2 * self.dim].split_at(self.dim);
+        let mut sum = [0.0; WIDTH];
+        for ((&x, low), high) in query.iter().zip(low).zip(high) {
+            for lane in 0..WIDTH {
+                let (below, above) = (low[lane] - x, x - high[lane]);
+                // Unlike `f32::max` these are single instructions.
+                let gap = if below > above { below } else { above };
+                let gap = if gap > 0.0 { gap } else { 0.0 };
+                sum[lane] += gap * gap;
+            }
+        }
+        sum.map(|sum| 0.5 * MARGIN * sum)
     }
 
-    /// A lower bound of the KL divergence (half the squared distance) of the point `query`, followed by `more`, to every
-    /// point of node `at`, as [`super::metric::kl`] would compute it in whatever order of summation.
-    pub fn lower_bound(&self, at: usize, query: &[f32], more: &[f32]) -> f32 {
-        let (low, high) = self.bounds(at);
-        let square = |((&x, &l), &h): ((&f32, &f32), &f32)| {
-            let gap = (l - x).max(x - h).max(0.0);
-            gap * gap
-        };
-        0.5 * MARGIN * query.iter().chain(more).zip(low).zip(high).map(square).sum::<f32>()
+    /// The KL divergence of each point of leaf `at` from `query` in the features from `first` on, as many as `query` has; bit for
+    /// bit that of [`super::metric::kl`].
+    pub fn kl(&self, at: usize, first: usize, query: &[f32]) -> Lanes {
+        let mut sum = [0.0; WIDTH];
+        for (&x, row) in query.iter().zip(&self.rows[2 * at * self.dim + first..]) {
+            for lane in 0..WIDTH {
+                sum[lane] += (x - row[lane]) * (x - row[lane]);
+            }
+        }
+        sum.map(|sum| 0.5 * sum)
     }
 
     /// Brings `maxima`, the largest of some number that each point has for each node, up to date where that of leaf `leaf`
     /// has fallen to `largest`.
-    pub fn lower<T: Copy + PartialOrd>(&self, maxima: &mut [T], leaf: usize, mut largest: T) {
-        let mut at = leaf;
+    pub fn lower<T: Copy + PartialOrd>(&self, maxima: &mut [T], leaf: usize, largest: T) {
+        let (mut at, mut largest) = (leaf, largest);
         while largest < maxima[at] {
             maxima[at] = largest;
             if at == 0 {
                 return;
             }
             at = self.nodes[at].parent as usize;
-            let left = self.nodes[at].left as usize;
-            let halves = (maxima[left], maxima[left + 1]);
-            largest = if halves.0 < halves.1 { halves.1 } else { halves.0 };
+            for &child in &maxima[self.children(at)] {
+                if largest < child {
+                    largest = child;
+                }
+            }
         }
     }
 
-    /// Calls `visit` with number and place of every point whose KL divergence from `query` may be `reach` or less (and some
-    /// others), in no particular order. `stack` is working memory.
-    pub fn candidates(
-        &self,
-        query: &[f32],
-        reach: f32,
-        stack: &mut Vec<u32>,
-        mut visit: impl FnMut(usize, &[f32]),
-    ) {
+    /// Calls `visit` with the number of every point whose KL divergence from `query` is `reach` or less, and that divergence, in
+    /// no particular order. `stack` is working memory.
+    pub fn within(&self, query: &[f32], reach: f32, stack: &mut Vec<u32>, mut visit: impl FnMut(usize, f32)) {
         stack.clear();
         stack.push(0);
         while let Some(at) = stack.pop() {
-            if self.lower_bound(at as usize, query, &[]) > reach {
-                continue;
-            }
-            let node = &self.nodes[at as usize];
-            if node.left == 0 {
-                self.points(at as usize).for_each(|(i, point)| visit(i, point));
-            } else {
-                stack.extend([node.left + 1, node.left]);
+            let (at, node) = (at as usize, &self.nodes[at as usize]);
+            let kl = if node.leaf { self.kl(at, 0, query) } else { self.lower_bounds(at, query) };
+            for (i, kl) in (node.first..node.first + node.count).zip(kl).filter(|(_, kl)| *kl <= reach) {
+                if node.leaf {
+                    visit(self.order[i as usize] as usize, kl);
+                } else {
+                    stack.push(i);
+                }
             }
         }
     }
@@ -158,6 +206,7 @@ impl Tree {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::similarity::metric::kl;
     use crate::similarity::testing::{cases, points};
@@ -166,19 +215,32 @@ mod tests {
     proptest! {
         #![proptest_config(cases(256))]
         #[test]
-        fn nothing_in_reach_is_missed((dim, points) in points(2..90), reach in 0.0f32..9.0) {
+        fn what_is_in_reach_is_found((dim, points) in points(2..200), reach in 0.0f32..9.0) {
             let (points, query) = points.split_at(points.len() - dim);
             let tree = Tree::new(points, dim);
-            let in_reach = |i: usize| kl(query, &points[i * dim..][..dim]) <= reach;
             let mut found = Vec::new();
-            tree.candidates(query, reach, &mut Vec::new(), |i, point| {
-                assert_eq!(point, &points[i * dim..][..dim]);
-                if in_reach(i) {
-                    found.push(i);
-                }
-            });
-            found.sort_unstable();
-            prop_assert_eq!(found, (0..points.len() / dim).filter(|&i| in_reach(i)).collect::<Vec<_>>());
+            tree.within(query, reach, &mut Vec::new(), |i, kl| found.push((i, kl)));
+            found.sort_unstable_by_key(|(i, _)| *i);
+            let all = points.chunks_exact(dim).map(|point| kl(query, point)).enumerate();
+            prop_assert_eq!(found, all.filter(|(_, kl)| *kl <= reach).collect::<Vec<_>>());
+        }
+
+        #[test]
+        fn maxima_are_kept(count in 1usize..400, changes in prop::collection::vec((0usize..400, 0u32..9), 0..60)) {
+            let points: Vec<f32> = (0..count).map(|i| (i * 7 % 11) as f32).collect();
+            let tree = Tree::new(&points, 1);
+            let mut values = vec![9; count];
+            let mut maxima = vec![9; tree.n_nodes()];
+            let largest = |values: &[u32], at: usize| tree.numbers(at).iter().map(|&i| values[i as usize]).max();
+            for (i, value) in changes.into_iter().map(|(i, value)| (i % count, value)) {
+                values[i] = value.min(values[i]);
+                let leaf = (0..tree.n_nodes()).find(|&at| tree.numbers(at).contains(&(i as u32))).unwrap();
+                tree.lower(&mut maxima, leaf, largest(&values, leaf).unwrap());
+            }
+            for at in (0..tree.n_nodes()).rev() {
+                let below = tree.children(at).map(|child| maxima[child]).max();
+                prop_assert_eq!(Some(maxima[at]), below.or(largest(&values, at)));
+            }
         }
     }
 
@@ -186,8 +248,8 @@ mod tests {
     fn a_thousand_equal_points_are_no_special_case() {
         let tree = Tree::new(&[2.5; 1000], 1);
         let mut count = 0;
-        tree.candidates(&[2.5], 0.0, &mut Vec::new(), |_, _| count += 1);
+        tree.within(&[2.5], 0.0, &mut Vec::new(), |_, _| count += 1);
         assert_eq!(count, 1000);
-        assert!(tree.nodes().iter().all(|n| n.end > n.start));
+        assert!((0..tree.n_nodes()).all(|at| tree.children(at).is_empty() != tree.numbers(at).is_empty()));
     }
 }
