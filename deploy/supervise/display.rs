@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use trestle_learner::record::Progress;
 use trestle_proto::config::Run;
 
+/// Length of a full bar.
+const PARTS: u64 = 1000;
 /// Time between two plain lines.
 const LINES_EVERY: Duration = Duration::from_secs(5);
 
@@ -32,7 +34,7 @@ impl Display {
         }
         let bar = stderr()
             .is_terminal()
-            .then(|| ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr()));
+            .then(|| ProgressBar::with_draw_target(Some(PARTS), ProgressDrawTarget::stderr()));
         Self::named(run, "", bar)
     }
 
@@ -46,9 +48,9 @@ impl Display {
         let how = match bar {
             None => How::Lines { last: Cell::new(None) },
             Some(bar) => {
-                bar.set_length(run.episodes.or(run.env_steps).unwrap_or(0));
+                bar.set_length(PARTS);
                 // The template is a constant: it parses, or the bar keeps its default look.
-                if let Ok(style) = ProgressStyle::with_template("{bar:24} {percent:>3}%  {msg}") {
+                if let Ok(style) = ProgressStyle::with_template("{bar:16} {percent:>3}%  {wide_msg}") {
                     bar.set_style(style);
                 }
                 How::Bar(bar)
@@ -77,11 +79,12 @@ impl Display {
                 }
             }
             How::Bar(bar) => {
-                bar.set_position(if self.episodes.is_some() {
-                    progress.episodes
-                } else {
-                    progress.env_steps
-                });
+                // The run ends at whichever limit comes first.
+                let share =
+                    |done: u64, limit: Option<u64>| limit.map_or(0, |limit| done * PARTS / limit.max(1));
+                let done =
+                    share(progress.episodes, self.episodes).max(share(progress.env_steps, self.env_steps));
+                bar.set_position(done.min(PARTS));
                 bar.set_message(self.describe(progress));
             }
         }
@@ -104,6 +107,9 @@ impl Display {
             of(self.env_steps),
             p.fps
         );
+        if let Some(left) = p.seconds_left {
+            text += &format!("  {left:.0} s left");
+        }
         let number =
             |name: &str, value: Option<f64>| value.map_or(String::new(), |v| format!("  {name} {v:.2}"));
         text += &number("return", p.ep_rew_mean);
@@ -117,9 +123,6 @@ impl Display {
             text += "  optimal";
         } else if p.solved {
             text += "  solved";
-        }
-        if let Some(left) = p.seconds_left {
-            text += &format!("  {left:.0} s left");
         }
         text
     }

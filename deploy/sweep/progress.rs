@@ -24,9 +24,11 @@ impl<'a> Progress<'a> {
             let all = MultiProgress::with_draw_target(ProgressDrawTarget::stderr());
             let total = all.add(ProgressBar::new(queue.len() as u64));
             // The template is a constant: it parses, or the bar keeps its default look.
-            if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len} runs  {msg}") {
+            if let Ok(style) = ProgressStyle::with_template("{bar:16} {pos}/{len} runs  {wide_msg}") {
                 total.set_style(style);
             }
+            // Shown from the start.
+            total.tick();
             (all, total)
         });
         Self { sweep, paces, done: 0, to_do: queue.len(), bars }
