@@ -193,9 +193,15 @@ impl Tree {
         while let Some(at) = stack.pop() {
             let (at, node) = (at as usize, &self.nodes[at as usize]);
             let kl = if node.leaf { self.kl(at, 0, query) } else { self.lower_bounds(at, query) };
-            for (i, kl) in (node.first..node.first + node.count).zip(kl).filter(|(_, kl)| *kl <= reach) {
+            // As bits: which are in reach nobody can predict, how many there are is better known.
+            let in_reach = kl.iter().zip(0..).fold(0, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
+            let mut bits = in_reach & ((1 << node.count) - 1);
+            while bits != 0 {
+                let lane = bits.trailing_zeros();
+                bits &= bits - 1;
+                let i = node.first + lane;
                 if node.leaf {
-                    visit(self.order[i as usize] as usize, kl);
+                    visit(self.order[i as usize] as usize, kl[lane as usize]);
                 } else {
                     stack.push(i);
                 }
