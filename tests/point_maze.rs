@@ -60,11 +60,11 @@ fn what_computes_the_physics_is_decided_once_and_recorded() {
 #[test]
 fn a_planned_mentor_reaches_the_goal_below_the_threshold() {
     let place = Place::new();
-    for (preset, most) in [("point-umaze", 300), ("point-maze", 550)] {
+    for (preset, most) in [("point-umaze", 60), ("point-maze", 110)] {
         let out = place.path(&format!("{preset}.csv"));
         trestle(&["demo", "plan", preset, "--out", &out]).ok();
         let states = fs::read_to_string(&out).unwrap().lines().count();
-        assert!((50..most).contains(&states), "{preset}: {states}");
+        assert!((40..most).contains(&states), "{preset}: {states}");
         trestle(&["demo", "inspect", &out, "--config", preset]).ok();
     }
 }
@@ -77,7 +77,7 @@ fn mistakes_are_refused_before_anything_starts() {
         start(&place.training("no", &[&["point-umaze"], &sets[..]].concat())).finish().refused(words);
         assert!(!place.run("no").root().exists());
     };
-    refused(&["env.step_limit=600"], &["eval.threshold = -0.6", "above -0.600"]);
+    refused(&["env.step_limit=120"], &["eval.threshold = -0.12", "above -0.120"]);
     refused(&["env.encoding=one-hot"], &["env.encoding = one-hot", "coordinates"]);
     refused(&["env.actions=irregular"], &["env.actions = irregular", "orthogonal, diagonal"]);
     refused(&["env.point_maze.frame_skip=0"], &["env.point_maze.frame_skip = 0", "1 to 100"]);
