@@ -189,6 +189,7 @@ def main() -> None:
         trestle = text["rows"] if isinstance(text, dict) else text
         table(rows, trestle)
         if options.pictures:
+            options.pictures.mkdir(parents=True, exist_ok=True)
             pictures(rows, trestle, options.pictures)
 
 
