@@ -133,7 +133,6 @@ def picture(axes, title: str, xlabel: str, curves: list[tuple[str, list, list]])
         axes.plot(sizes, us, dashes[at % 4], color=colours[at % 8], marker="o", markersize=4, linewidth=2, label=name)
     axes.set(title=title, xlabel=xlabel, xscale="log", yscale="log")
     axes.grid(color="#dddddd")
-    axes.legend(fontsize="small", frameon=False)
 
 
 def pictures(rows: list[dict], trestle: list[dict], directory: Path) -> None:
@@ -159,6 +158,7 @@ def pictures(rows: list[dict], trestle: list[dict], directory: Path) -> None:
                 curves.append((f"{peer}, batches", [row["mentor"] for row in found], [float(row["batch_us"]) for row in found]))
             picture(panels[down][across], f"{op}, {dim} features", "mentor transitions", curves)
             panels[down][across].set_ylabel("us a query")
+            panels[down][across].legend(fontsize="small", frameon=False)
     figure.savefig(directory / "mentor-search.png", dpi=100)
     figure, panels = pyplot.subplots(1, 2, figsize=(11, 4.5), layout="constrained", sharey=True)
     for panel, states in zip(panels, ("cells", "anywhere")):
@@ -169,6 +169,7 @@ def pictures(rows: list[dict], trestle: list[dict], directory: Path) -> None:
                 curves.append((f"{dim} features, mentor of {mentor:,}", [row["stored"] for row in found], us))
         picture(panel, f"bridge search, states {states}", "stored transitions", curves)
     panels[0].set_ylabel("us a stored transition")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(directory / "mentor-bridges.png", dpi=100)
 
 
