@@ -72,7 +72,16 @@ fn ticks(times: u64) -> Result<()> {
     let states = env::plan_states(&config.env, &config.mentor.actions)?;
     demonstration.push_trajectory(&states.concat(), true)?;
     let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
-    let plan = RunPlan { run: 1, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0 };
+    let plan = RunPlan {
+        run: 1,
+        config,
+        spec,
+        mentors,
+        waypoints: None,
+        resume_tick: None,
+        restarts: 0,
+        generation: 0,
+    };
 
     let mut worker = Worker::new(&plan, 0)?;
     let mut mentor = mentor_of(&plan, &demonstration)?;

@@ -67,10 +67,10 @@ def peers(step: dict, *others: dict) -> str:
 
 def whole_runs(report: dict) -> str:
     by = {(row["algo"], row["mode"]): row["steps_per_s"] for row in report["rows"]}
-    rows = [{"algo": algo, **{mode: by[algo, mode] for mode in ("reference", "lockstep")},
+    rows = [{"algo": algo, **{mode: by[algo, mode] for mode in ("reference", "lockstep", "free")},
              "ratio": by[algo, "lockstep"] / by[algo, "reference"],
              "of_dqn": by[algo, "lockstep"] / by["dqn", "lockstep"]} for algo in ("dqn", "ha-diiqn")]
-    columns = {"algo": "algorithm", "reference": "reference, steps/s", "lockstep": "lockstep, steps/s",
+    columns = {"algo": "algorithm", "reference": "reference, steps/s", "lockstep": "lockstep, steps/s", "free": "free, steps/s",
                "ratio": "lockstep / reference", "of_dqn": "lockstep / DQN's"}
     return f"{table(rows, columns)}\n\n{conditions(report)}"
 

@@ -171,6 +171,8 @@ impl Algo {
 pub(crate) enum Mode {
     /// Processes in step: the result depends on configuration and seed alone
     Lockstep,
+    /// Every actor streams, and only a process that dies is replaced; the result depends on the timing, too
+    Free,
     /// The same algorithm in one process, to compare with
     Reference,
 }
@@ -366,4 +368,7 @@ pub(crate) struct ActorRole {
     /// Index of the actor, from 0
     #[arg(long)]
     pub(crate) index: u32,
+    /// How often it has been replaced; run.mode = free
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) incarnation: u32,
 }

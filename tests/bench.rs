@@ -88,7 +88,7 @@ fn what_processes_take() {
 fn whole_runs() {
     let rows = rows("loop", &["env_steps", "steps_per_s"]);
     for algo in ["dqn", "ha-diiqn"] {
-        for mode in ["reference", "lockstep"] {
+        for mode in ["reference", "lockstep", "free"] {
             assert!(rows.iter().any(|row| row["algo"] == algo && row["mode"] == mode), "{rows:?}");
         }
     }

@@ -125,6 +125,7 @@ pub(crate) fn worker() -> Worker {
             waypoints: None,
             resume_tick: None,
             restarts: 0,
+            generation: 0,
         },
         0,
     )

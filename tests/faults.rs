@@ -9,6 +9,7 @@ use nix::sys::signal::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
 use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::config::Mode;
 use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
 use trestle_proto::transport::ActorLink;
@@ -135,7 +136,7 @@ fn a_pause_is_no_death() {
 /// A short piece of what `cargo test --test faults` plays at length.
 #[test]
 fn a_schedule_of_faults_changes_nothing() {
-    let summary = schedule::play(1, 12, &schedule::KINDS, |_| {});
+    let summary = schedule::play(Mode::Lockstep, 1, 12, &schedule::KINDS, |_| {});
     assert_eq!(summary.faults, 12);
 }
 

@@ -1,6 +1,6 @@
-//! Faults at length: `cargo test --test faults -- --seed 1 --faults 200 --kinds kill,stop,pause,torn,version`. Any of the
-//! arguments may be left out. Prints a line a run, and the time of recovery after a kill; fails at the first run that does
-//! not end as an undisturbed one. Not part of `cargo test` unless it is named.
+//! Faults at length: `cargo test --test faults -- --mode lockstep --seed 1 --faults 200 --kinds kill,stop,pause,torn,version`.
+//! Any of the arguments may be left out. Prints a line a run, and the time of recovery after a kill; fails at the first run
+//! that does not end as it should. Not part of `cargo test` unless it is named.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,20 +10,22 @@ mod schedule;
 mod util;
 
 use schedule::{KINDS, Kind};
+use trestle_proto::config::Mode;
 
 fn main() {
-    let (mut seed, mut faults, mut kinds) = (1, 200, KINDS.to_vec());
+    let (mut mode, mut seed, mut faults, mut kinds) = (Mode::Lockstep, 1, 200, KINDS.to_vec());
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         let value = args.next().unwrap_or_else(|| panic!("{arg} needs a value"));
         match arg.as_str() {
+            "--mode" => mode = if value == "free" { Mode::Free } else { Mode::Lockstep },
             "--seed" => seed = value.parse().unwrap(),
             "--faults" => faults = value.parse().unwrap(),
             "--kinds" => kinds = value.split(',').map(kind).collect(),
-            _ => panic!("unknown argument {arg}; accepted: --seed, --faults, --kinds"),
+            _ => panic!("unknown argument {arg}; accepted: --mode, --seed, --faults, --kinds"),
         }
     }
-    let summary = schedule::play(seed, faults, &kinds, |line| println!("{line}"));
+    let summary = schedule::play(mode, seed, faults, &kinds, |line| println!("{line}"));
     let mut recoveries = summary.recoveries.clone();
     recoveries.sort();
     // The time within which the share `q` of the recoveries lies.
@@ -32,7 +34,7 @@ fn main() {
         recoveries.get(at.saturating_sub(1)).map_or(0, std::time::Duration::as_millis)
     };
     let (median, p99) = (within(0.5), within(0.99));
-    println!("{} faults in {} runs, all of which ended as undisturbed ones", summary.faults, summary.runs);
+    println!("{} faults in {} runs, all of which ended as they should", summary.faults, summary.runs);
     println!("recovery after {} kills: median {median} ms, p99 {p99} ms", summary.recoveries.len());
 }
 

@@ -14,6 +14,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use trestle_learner::checkpoint;
+use trestle_proto::config::Mode;
 use trestle_proto::rng::mix;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::transport::iceoryx::Domain;
@@ -43,16 +44,18 @@ const ROLES: [&str; 4] = ["actor", "learner", "mentor-server", "supervisor"];
 const CONFIGS: [&[&str]; 5] = [
     &["--algo", "ha-diiqn"],
     &["--algo", "ha-diiqn", "--actors", "2"],
-    &["--algo", "ha-diiqn", "--actors", "2", "--set", "run.lag=1"],
-    &["--algo", "diiqn", "--set", "run.lag=1"],
+    &["--algo", "ha-diiqn", "--actors", "2"],
+    &["--algo", "diiqn"],
     &["--algo", "dqn", "--actors", "3"],
 ];
+/// The same, for lockstep alone.
+const LAGS: [&[&str]; 5] = [&[], &[], &["--set", "run.lag=1"], &["--set", "run.lag=1"], &[]];
 
 /// Long enough for some faults, with checkpoints on the way, and patience with whatever comes.
 const ARGS: [&str; 11] = [
     "maze-small",
     "--env-steps",
-    "24000",
+    "24000", // ENV_STEPS
     "--set",
     "checkpoint.every_env_steps=1500",
     "--set",
@@ -62,6 +65,8 @@ const ARGS: [&str; 11] = [
     "--set",
     "eval.every=2",
 ];
+
+const ENV_STEPS: u64 = 24_000;
 
 /// Faults that one run has to stand, unless it ends before.
 const PER_RUN: u64 = 6;
@@ -114,18 +119,24 @@ pub(crate) struct Summary {
     pub(crate) recoveries: Vec<Duration>,
 }
 
-/// Plays `faults` faults of `seed`, of the given kinds, over as many runs as that takes. Each must end as an undisturbed
-/// one, without a process or a file left in shared memory; fails otherwise. Tells `report` of each run.
-pub(crate) fn play(seed: u64, faults: u64, kinds: &[Kind], mut report: impl FnMut(&str)) -> Summary {
+/// Plays `faults` faults of `seed`, of the given kinds, over as many runs in `mode` as that takes. Each must end as an
+/// undisturbed one, in free mode with every step counted once, and without a process or a file left in shared memory; fails
+/// otherwise. Tells `report` of each run.
+pub(crate) fn play(
+    mode: Mode,
+    seed: u64,
+    faults: u64,
+    kinds: &[Kind],
+    mut report: impl FnMut(&str),
+) -> Summary {
     let place = Place::new();
     let mut undisturbed: BTreeMap<usize, Trace> = BTreeMap::new();
     let mut summary = Summary::default();
     while summary.faults < faults {
         let number = summary.runs;
         let which = (mix(seed ^ number) % CONFIGS.len() as u64) as usize;
-        let args = [&ARGS[..], &["--seed", "3"], CONFIGS[which]].concat();
-        let expected =
-            undisturbed.entry(which).or_insert_with(|| place.train(&format!("undisturbed-{which}"), &args));
+        let more: &[&str] = if mode == Mode::Free { &["--mode", "free"] } else { LAGS[which] };
+        let args = [&ARGS[..], &["--seed", "3"], CONFIGS[which], more].concat();
         let mut run = Run::new(&place, number, &args);
         let first = summary.faults;
         let mut said = String::new();
@@ -141,10 +152,25 @@ pub(crate) fn play(seed: u64, faults: u64, kinds: &[Kind], mut report: impl FnMu
         let trace = run.finish();
         let hash = trace.weights_sha256[..16].to_string();
         report(&format!("run {number} {:?}:{said} {hash}", CONFIGS[which]));
-        assert_eq!(trace, *expected, "seed {seed}, run {number}:{said}");
+        if mode == Mode::Free {
+            assert_eq!(trace.result.env_steps, ENV_STEPS, "seed {seed}, run {number}:{said}");
+            assert_eq!(trace.counted, ENV_STEPS, "seed {seed}, run {number}:{said}");
+        } else {
+            let undisturbed = undisturbed
+                .entry(which)
+                .or_insert_with(|| place.train(&format!("undisturbed-{which}"), &args));
+            assert_eq!(trace, *undisturbed, "seed {seed}, run {number}:{said}");
+        }
         summary.runs += 1;
     }
     summary
+}
+
+/// How often all processes of the run, or in free mode one that was replaced, have come so far that the run could go on.
+fn readies(dir: &RunDir) -> usize {
+    let log = fs::read_to_string(dir.log("learner")).unwrap_or_default();
+    let words = ["all processes are ready", "an actor has come", "a new mentor-server has the history"];
+    words.iter().map(|words| log.matches(words).count()).sum()
 }
 
 /// A run that things happen to.
@@ -180,10 +206,9 @@ impl<'a> Run<'a> {
         met
     }
 
-    /// Starts of the learner that have come so far that all processes were ready.
+    /// See [`readies`].
     fn readies(&self) -> usize {
-        let log = fs::read_to_string(self.dir.log("learner")).unwrap_or_default();
-        log.matches("all processes are ready").count()
+        readies(&self.dir)
     }
 
     /// Lets `fault` befall the process `role` of the run. Returns how long the run took to recover, if it had to; none at
@@ -225,10 +250,7 @@ impl<'a> Run<'a> {
         if role == "supervisor" {
             self.start_again();
         }
-        let recovered = self.reaches(|dir| {
-            let log = fs::read_to_string(dir.log("learner")).unwrap_or_default();
-            log.matches("all processes are ready").count() > readies
-        });
+        let recovered = self.reaches(|dir| self::readies(dir) > readies);
         // A run that was at its end may have ended nevertheless.
         Some((recovered && !stops).then(|| began.elapsed()))
     }

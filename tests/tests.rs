@@ -14,6 +14,7 @@ mod determinism;
 mod doctor;
 mod errors;
 mod faults;
+mod free;
 mod host;
 mod hostile;
 mod mentors;

@@ -352,6 +352,8 @@ pub(crate) struct Trace {
     pub(crate) episodes: Vec<Value>,
     /// `mentor.csv`, empty where there is no mentor.
     pub(crate) mentor: String,
+    /// Environment steps in `actors.csv`; 0 where there is none.
+    pub(crate) counted: u64,
 }
 
 impl Trace {
@@ -374,8 +376,33 @@ impl Trace {
             evals: evals.lines().map(without_wall).collect(),
             episodes,
             mentor: fs::read_to_string(dir.mentor()).unwrap_or_default(),
+            counted: counted(dir).iter().map(|row| row.env_steps).sum(),
         }
     }
+}
+
+/// A row of `actors.csv`.
+#[derive(Debug)]
+pub(crate) struct Counted {
+    pub(crate) actor: u32,
+    pub(crate) incarnation: u32,
+    pub(crate) batches: u64,
+    pub(crate) env_steps: u64,
+}
+
+/// The rows of `actors.csv`, none where there is none.
+pub(crate) fn counted(dir: &RunDir) -> Vec<Counted> {
+    let text = fs::read_to_string(dir.actors()).unwrap_or_default();
+    let row = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        Counted {
+            actor: fields[0].parse().unwrap(),
+            incarnation: fields[1].parse().unwrap(),
+            batches: fields[2].parse().unwrap(),
+            env_steps: fields[3].parse().unwrap(),
+        }
+    };
+    text.lines().skip(1).map(row).collect()
 }
 
 /// The rows of `metrics.jsonl`.

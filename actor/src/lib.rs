@@ -3,10 +3,11 @@
 //! * [`mod@env`]: the trait that every environment fulfils, and the environments;
 //! * [`policy`]: from a flat parameter vector and an observation to an action;
 //! * [`worker`]: one actor without any transport: batches, greedy evaluations, snapshots;
-//! * [`run`]: the loop of an actor's process.
+//! * [`run`]: the loop of an actor's process in lockstep, [`mod@stream`] in free mode.
 
 pub mod env;
 pub mod guide;
 pub mod policy;
 pub mod run;
+pub mod stream;
 pub mod worker;

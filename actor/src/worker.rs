@@ -90,6 +90,10 @@ pub enum ActorError {
 /// The state of one actor.
 pub struct Worker {
     index: u32,
+    /// Actors of the run.
+    actors: u32,
+    /// How often this actor has been replaced.
+    incarnation: u32,
     seed: u64,
     exploration: config::Exploration,
     policy: Policy,
@@ -132,6 +136,14 @@ impl Worker {
     /// A configuration that gives no environment or no network, a plan whose spaces are not those of its
     /// environment, or an index that the run does not have.
     pub fn new(plan: &RunPlan, index: u32) -> Result<Self, ActorError> {
+        Self::replacing(plan, index, 0)
+    }
+
+    /// The same as incarnation `incarnation` of that actor, with random streams of its own.
+    ///
+    /// # Errors
+    /// As [`Worker::new`].
+    pub fn replacing(plan: &RunPlan, index: u32, incarnation: u32) -> Result<Self, ActorError> {
         let run = &plan.config.run;
         if index >= run.actors {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
@@ -143,11 +155,14 @@ impl Worker {
         }
         let (layout, encoding) = network_of(plan)?;
         let obs_dim = plan.spec.obs_dim();
-        let mut environment = stream(run.seed, Purpose::Environment, u64::from(index));
+        let who = u64::from(index) + (u64::from(incarnation) << 32);
+        let mut environment = stream(run.seed, Purpose::Environment, who);
         let mut obs = vec![0.0; obs_dim];
         env.reset(&mut environment, &mut obs);
         Ok(Self {
             index,
+            actors: run.actors,
+            incarnation,
             seed: run.seed,
             exploration: plan.config.exploration.clone(),
             policy: Policy::new(layout, encoding, kernels_of(plan)?),
@@ -155,7 +170,7 @@ impl Worker {
             guide_len: plan.guide_len(),
             env,
             evaluation_env: build(&plan.config.env)?,
-            explore: stream(run.seed, Purpose::Explore, u64::from(index)),
+            explore: stream(run.seed, Purpose::Explore, who),
             environment,
             obs,
             next_obs: vec![0.0; obs_dim],
@@ -168,6 +183,11 @@ impl Worker {
     /// Index of the actor, from 0.
     pub fn index(&self) -> u32 {
         self.index
+    }
+
+    /// How often this actor has been replaced, from 0.
+    pub fn incarnation(&self) -> u32 {
+        self.incarnation
     }
 
     /// Features of an observation.
@@ -201,14 +221,14 @@ impl Worker {
             first_seq: self.seq,
             weights_version: tick.weights_version,
             actor: self.index,
-            incarnation: 0,
+            incarnation: self.incarnation,
             count: tick.amount,
             obs_dim: self.obs.len() as u32,
         });
         let before = tick.env_steps.saturating_add(u64::from(self.index) * u64::from(tick.amount));
         for s in 0..tick.amount {
             let at = before.saturating_add(u64::from(s));
-            let epsilon = schedule::epsilon(&self.exploration, at);
+            let epsilon = schedule::actor_epsilon(&self.exploration, at, self.index, self.actors);
             let (obs, rng) = (&self.obs, &mut self.explore);
             let action = match &mut self.guide {
                 None => self.policy.act(params, obs, epsilon, rng),

@@ -11,7 +11,16 @@ fn plan(overrides: &[&str]) -> RunPlan {
     let mut config = config::load("maze-small", &overrides).unwrap();
     crate::env::resolve(&mut config.env, config.run.seed).unwrap();
     let spec = build(&config.env).unwrap().spec().clone();
-    RunPlan { run: 77, config, spec, mentors: Vec::new(), waypoints: None, resume_tick: None, restarts: 0 }
+    RunPlan {
+        run: 77,
+        config,
+        spec,
+        mentors: Vec::new(),
+        waypoints: None,
+        resume_tick: None,
+        restarts: 0,
+        generation: 0,
+    }
 }
 
 /// A plan on the map `layout` with actions W and E, a network without influence but its output's bias.

@@ -88,6 +88,7 @@ impl Learner {
             waypoints: None,
             resume_tick: None,
             restarts: 0,
+            generation: 0,
         };
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM] {

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 const ALGOS: [&str; 2] = ["dqn", "ha-diiqn"];
-const MODES: [&str; 2] = ["reference", "lockstep"];
+const MODES: [&str; 3] = ["reference", "lockstep", "free"];
 const RUN: &str = "run";
 /// Environment steps of a run: what figures need, and for a quick look.
 const ENV_STEPS: [u64; 2] = [100_000, 2_000];

@@ -18,6 +18,7 @@ use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
 use trestle_mentor_server::demo_file;
+use trestle_proto::config::Mode;
 use trestle_proto::limits::BEAT;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
@@ -113,15 +114,21 @@ pub(super) fn orphaned(run: u64) -> Result<ExitCode> {
 
 pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
     let start = Start::new(&args.role, &format!("actor-{}", args.index))?;
-    let mut worker = Worker::new(&start.plan, args.index)?;
-    if let Some(tick) = start.plan.resume_tick {
+    let (index, free) = (args.index, start.plan.config.run.mode == Mode::Free);
+    let mut worker = Worker::replacing(&start.plan, index, args.incarnation)?;
+    if let Some(tick) = start.plan.resume_tick.filter(|_| !free) {
         let states = checkpoint::load_actors(&checkpoint::directory(start.dir.root(), tick))?;
-        let state = states.get(args.index as usize).context("the checkpoint has no state of this actor")?;
+        let state = states.get(index as usize).context("the checkpoint has no state of this actor")?;
         worker.restore(state)?;
     }
-    let mut link = IceoryxActor::new(&start.domain, &start.plan, args.index)?;
-    let rollout = start.plan.config.run.rollout as usize;
-    match trestle_actor::run::run(&mut link, &mut worker, rollout, &start.stop()) {
+    let mut link = IceoryxActor::new(&start.domain, &start.plan, index)?;
+    let rollout = start.plan.config.run.rollout;
+    let left = if free {
+        trestle_actor::stream::stream(&mut link, &mut worker, start.plan.run, rollout, &start.stop())
+    } else {
+        trestle_actor::run::run(&mut link, &mut worker, rollout as usize, &start.stop())
+    };
+    match left {
         Ok(Left::Stopped) => Ok(ExitCode::SUCCESS),
         Ok(Left::Told) => Ok(ExitCode::from(TOLD)),
         Err(trestle_actor::run::RunError::Link(error)) => unlinked(error),

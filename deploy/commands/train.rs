@@ -35,7 +35,7 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
     let held = HeldSignals::new()?;
     let prepared = resolved.prepare(&root, existing)?;
     let ended = match mode {
-        config::Mode::Lockstep => supervise::run(prepared, held, args.quiet)?,
+        config::Mode::Lockstep | config::Mode::Free => supervise::run(prepared, held, args.quiet)?,
         config::Mode::Reference => reference::run(&prepared, held, args.quiet)?,
     };
     match ended {
@@ -48,7 +48,9 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
             if let Some(result) = result {
                 let _ = report(&mut stdout().lock(), &result, &root, args.quiet);
                 crate::output::say(match mode {
-                    config::Mode::Lockstep => "interrupted; go on with the same command and --resume",
+                    config::Mode::Lockstep | config::Mode::Free => {
+                        "interrupted; go on with the same command and --resume"
+                    }
                     config::Mode::Reference => "interrupted; a run in one process cannot be resumed",
                 });
             } else if RunDir::new(&root).last().exists() {
@@ -67,6 +69,7 @@ fn overrides(args: &Train) -> Vec<String> {
     let algo = args.algo.map(Algo::name);
     let mode = args.mode.map(|mode| match mode {
         Mode::Lockstep => "lockstep",
+        Mode::Free => "free",
         Mode::Reference => "reference",
     });
     let text = |key: &str, value: Option<&str>| value.map(|v| format!("run.{key}={v:?}"));

@@ -19,6 +19,7 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{self, ChildStdout, Command};
 use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
+use trestle_proto::config::Mode;
 use trestle_proto::rundir::RunDir;
 
 /// The program itself, also if its file has been replaced since it was started: a run is never carried on by another
@@ -100,6 +101,8 @@ impl fmt::Display for Death {
 pub(super) struct Child {
     pub(super) role: Role,
     pub(super) running: bool,
+    /// Why it has been killed, if it was.
+    pub(super) fault: Option<Fault>,
     /// To the task that waits for the process.
     signals: mpsc::UnboundedSender<Signal>,
     pub(super) line: Line,
@@ -132,7 +135,7 @@ pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Event>) -> Re
     roles.extend((0..run.actors).map(Role::Actor));
     let mut children = Vec::new();
     for role in roles {
-        match start(prepared.dir(), role, events) {
+        match start(prepared, role, 0, events) {
             Ok(child) => children.push(child),
             Err(error) => {
                 children.iter().for_each(Child::kill);
@@ -143,7 +146,14 @@ pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Event>) -> Re
     Ok(children)
 }
 
-fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child> {
+/// Starts one process of the run. `replacements`: how often it has been replaced since all were started.
+pub(super) fn start(
+    prepared: &Prepared,
+    role: Role,
+    replacements: u16,
+    events: &mpsc::Sender<Event>,
+) -> Result<Child> {
+    let dir = prepared.dir();
     let path = dir.log(&role.to_string());
     let log = OpenOptions::new()
         .create(true)
@@ -157,6 +167,10 @@ fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child
         Role::MentorServer => command.arg("mentor-server"),
         Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
     };
+    if let (Role::Actor(_), Mode::Free) = (role, prepared.plan().config.run.mode) {
+        let incarnation = (prepared.plan().generation << 16) | u32::from(replacements);
+        command.arg("--incarnation").arg(incarnation.to_string());
+    }
     command.arg("--run").arg(dir.root()).arg("--watch-stdin");
     // candle asks for the number of threads at every product, and takes all cores if it is not told; a run's
     // processes have one working thread each.
@@ -182,7 +196,7 @@ fn start(dir: &RunDir, role: Role, events: &mpsc::Sender<Event>) -> Result<Child
         // A supervisor that no longer listens is itself on its way out.
         let _ = events.send(Event::Exited(role, status)).await;
     });
-    Ok(Child { role, running: true, signals, line })
+    Ok(Child { role, running: true, fault: None, signals, line })
 }
 
 /// Waits for `process` and sends it the signals that are ordered meanwhile: never after it has been waited for, when its

@@ -29,7 +29,8 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 use trestle_learner::record::{Progress, RunResult};
-use trestle_proto::limits::{BEAT, BLAME, GRACE, REAP};
+use trestle_proto::config::Mode;
+use trestle_proto::limits::{BEAT, BLAME, GRACE, REAP, RESTART_BACKOFF, SETTLE};
 use trestle_proto::transport::iceoryx::{Domain, Services};
 
 /// How a run ended.
@@ -120,11 +121,97 @@ async fn attempt(
     )?;
     let (events, mut inbox) = mpsc::channel(64);
     let mut children = children::start_all(prepared, &events)?;
-    let outcome = watch(&mut children, &mut inbox, signals, display, prepared, &services).await;
+    let mut replacing = Replacing::new(prepared, &services, &events);
+    let outcome = watch(&mut children, &mut inbox, signals, display, prepared, &mut replacing).await;
     stop_all(&mut children, &mut inbox).await;
     drop(services);
     drop(cleanup);
     outcome
+}
+
+/// What replaces single processes of a run in free mode.
+struct Replacing<'a> {
+    prepared: &'a Prepared,
+    services: &'a Services,
+    events: &'a mpsc::Sender<Event>,
+    /// The processes that have died, each with its account and how often it has been replaced.
+    accounts: Vec<(Role, Restarts, u16)>,
+    /// Who is to be started anew, and when.
+    due: Vec<(tokio::time::Instant, Role)>,
+    /// When a process was started last.
+    started: tokio::time::Instant,
+}
+
+impl<'a> Replacing<'a> {
+    fn new(prepared: &'a Prepared, services: &'a Services, events: &'a mpsc::Sender<Event>) -> Self {
+        let started = tokio::time::Instant::now();
+        Self { prepared, services, events, accounts: Vec::new(), due: Vec::new(), started }
+    }
+
+    /// Whether the others can go on without `role` until there is another.
+    fn replaces(&self, role: Role) -> bool {
+        role != Role::Learner && self.prepared.plan().config.run.mode == Mode::Free
+    }
+
+    /// Plans the replacement of the process that has died, or says why there is to be none.
+    fn plan(&mut self, death: &Death, display: &Display) -> Result<()> {
+        let newest = self.prepared.newest_checkpoint()?;
+        let at = match self.accounts.iter().position(|(role, ..)| *role == death.role) {
+            Some(at) => at,
+            None => {
+                let allowed = self.prepared.plan().config.supervise.restarts;
+                self.accounts.push((death.role, Restarts::of_process(allowed, newest), 0));
+                self.accounts.len() - 1
+            }
+        };
+        let pause = match self.accounts[at].1.after(death, newest, Instant::now()) {
+            Verdict::Again(pause) => pause,
+            Verdict::End(reason) => return Err(final_error(self.prepared, death, &reason)),
+        };
+        let said = format!("{death}; replacing it");
+        display.say(&said);
+        self.prepared.note(&said);
+        self.due.push((tokio::time::Instant::now() + pause, death.role));
+        Ok(())
+    }
+
+    /// Removes what dead processes left, unless one has been started so shortly before that it might still be making its
+    /// place: that could be mistaken for a dead one's. False: something is left.
+    fn reap(&self) -> bool {
+        self.started.elapsed() >= SETTLE && self.services.reap()
+    }
+
+    /// Waits until the next replacement is due, for ever if there is none.
+    async fn next(&self) {
+        match self.due.iter().map(|(at, _)| *at).min() {
+            Some(at) => tokio::time::sleep_until(at.max(self.started + SETTLE)).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Starts those whose time has come.
+    fn start(&mut self, children: &mut [Child]) -> Result<()> {
+        let now = tokio::time::Instant::now();
+        // They need the dead ones' places among the services.
+        if !self.reap() {
+            self.due.iter_mut().for_each(|(at, _)| *at = (*at).max(now + RESTART_BACKOFF));
+            return Ok(());
+        }
+        let (now_due, later) = self.due.drain(..).partition(|(at, _)| *at <= now);
+        self.due = later;
+        let now_due: Vec<_> = now_due;
+        for (_, role) in now_due {
+            let account = self.accounts.iter_mut().find(|(of, ..)| *of == role);
+            let (_, _, count) = account.context("a process is to be replaced that has not died")?;
+            *count = count.checked_add(1).with_context(|| format!("{role} has been replaced 65535 times"))?;
+            let child = children::start(self.prepared, role, *count, self.events)?;
+            if let Some(place) = children.iter_mut().find(|child| child.role == role) {
+                *place = child;
+            }
+            self.started = tokio::time::Instant::now();
+        }
+        Ok(())
+    }
 }
 
 /// What reaches the supervisor from its children.
@@ -174,7 +261,7 @@ async fn watch(
     signals: &mut Signals,
     display: &Display,
     prepared: &Prepared,
-    services: &Services,
+    replacing: &mut Replacing<'_>,
 ) -> Result<ControlFlow<Ended, Death>> {
     let (mut interrupted, mut began) = (false, false);
     let now = tokio::time::Instant::now();
@@ -182,20 +269,26 @@ async fn watch(
     let mut beat = tokio::time::interval_at(now + BEAT, BEAT);
     // Beats that this process has missed are nobody's silence.
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    // The end of a process that has lost another, which is to blame and whose end may not have been noticed yet.
-    let mut consequence: Option<Death> = None;
+    // The ends of processes that have lost another, which is to blame and whose end may not have been noticed yet.
+    let mut consequences: Vec<Death> = Vec::new();
     let blame = tokio::time::sleep(BLAME);
     tokio::pin!(blame);
     let death = loop {
         tokio::select! {
-            _ = reap.tick() => services.reap(),
+            _ = reap.tick() => drop(replacing.reap()),
             _ = beat.tick() => {
                 let deadlines = &prepared.plan().config.supervise;
-                let mut living = children.iter_mut().filter(|c| c.running);
-                if let Some((role, how)) = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c.role, How::Lingering(fault)))) {
-                    break Death::new(prepared.dir(), role, how);
+                let mut living = children.iter_mut().filter(|c| c.running && c.fault.is_none());
+                if let Some((child, fault)) = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c, fault))) {
+                    if !replacing.replaces(child.role) {
+                        break Death::new(prepared.dir(), child.role, How::Lingering(fault));
+                    }
+                    // Its end, which will be noticed in its turn, is what it is replaced after.
+                    child.fault = Some(fault);
+                    child.kill();
                 }
             }
+            () = replacing.next() => replacing.start(children)?,
             () = signals.any() => {
                 if interrupted {
                     tracing::warn!("interrupted twice: stopping at once");
@@ -205,9 +298,12 @@ async fn watch(
                 display.say("interrupted: finishing the tick and saving; once more to stop at once");
                 children.iter().filter(|c| c.role == Role::Learner).for_each(Child::terminate);
             }
-            () = &mut blame, if consequence.is_some() => {
-                if let Some(death) = consequence.take() {
-                    break death;
+            () = &mut blame, if !consequences.is_empty() => {
+                if let Some(at) = consequences.iter().position(|death| !replacing.replaces(death.role)) {
+                    break consequences.swap_remove(at);
+                }
+                for death in consequences.drain(..).filter(|_| !interrupted) {
+                    replacing.plan(&death, display)?;
                 }
             }
             event = inbox.recv() => match event {
@@ -219,8 +315,10 @@ async fn watch(
                     display.update(&progress);
                 }
                 Some(Event::Exited(role, status)) => {
+                    let mut fault = None;
                     if let Some(child) = children.iter_mut().find(|c| c.role == role) {
                         child.running = false;
+                        fault = child.fault.take();
                     }
                     let status = status.with_context(|| format!("cannot wait for {role}"))?;
                     if status.success() {
@@ -229,12 +327,22 @@ async fn watch(
                         }
                         continue;
                     }
-                    let death = Death::new(prepared.dir(), role, How::Exited(status));
+                    let how = fault.map_or(How::Exited(status), How::Lingering);
+                    let death = Death::new(prepared.dir(), role, how);
                     if !death.is_consequence() {
-                        break death;
+                        if !replacing.replaces(role) {
+                            break death;
+                        }
+                        // A run that is ending can do without it, and must learn that it is gone.
+                        if interrupted {
+                            replacing.reap();
+                        } else {
+                            replacing.plan(&death, display)?;
+                        }
+                        continue;
                     }
-                    if consequence.is_none() {
-                        consequence = Some(death);
+                    consequences.push(death);
+                    if consequences.len() == 1 {
                         blame.as_mut().reset(tokio::time::Instant::now() + BLAME);
                     }
                 }

@@ -249,6 +249,7 @@ impl Resolved {
             waypoints: waypoints.map(|mentors| mentors.all.waypoints()),
             resume_tick,
             restarts: 0,
+            generation: 0,
         }
     }
 
@@ -287,9 +288,12 @@ impl Resolved {
         let mut plan = self.plan(new_identity(), resume_tick);
         if resume_tick.is_some() {
             // A plan that cannot be read any more is not needed to go on.
-            plan.restarts = dir.read_plan().map_or(0, |before| before.restarts);
+            if let Ok(before) = dir.read_plan() {
+                plan.restarts = before.restarts;
+                plan.generation = before.generation + 1;
+            }
         }
-        if self.config.run.mode == Mode::Lockstep {
+        if self.config.run.mode != Mode::Reference {
             check_shared_memory(Sizes::of(&plan).shared_memory_bytes())?;
         }
         let fresh = resume_tick.is_none();
@@ -380,6 +384,7 @@ impl Prepared {
         self.plan.resume_tick = tick;
         self.plan.run = new_identity();
         self.plan.restarts += 1;
+        self.plan.generation += 1;
         Ok(write_atomically(&self.dir.plan(), &self.plan.encode()?)?)
     }
 

@@ -22,6 +22,8 @@ pub(super) enum Verdict {
 #[derive(Debug)]
 pub(super) struct Restarts {
     allowed: u32,
+    /// Whether the same failure twice is the end.
+    deterministic: bool,
     /// When the run was started again since it last got ahead.
     spent: VecDeque<Instant>,
     /// The checkpoint that the last start went on from.
@@ -33,14 +35,19 @@ pub(super) struct Restarts {
 impl Restarts {
     /// For a run that starts from checkpoint `from` and may be started again `allowed` times without getting ahead.
     pub(super) fn new(allowed: u32, from: Option<u64>) -> Self {
-        Self { allowed, spent: VecDeque::new(), from, reported: None }
+        Self { allowed, deterministic: true, spent: VecDeque::new(), from, reported: None }
+    }
+
+    /// For a process that may be replaced `allowed` times without a new checkpoint, each time meeting something else.
+    pub(super) fn of_process(allowed: u32, from: Option<u64>) -> Self {
+        Self { deterministic: false, ..Self::new(allowed, from) }
     }
 
     /// `death` happened at `now`, with `checkpoint` as the newest complete one.
     pub(super) fn after(&mut self, death: &Death, checkpoint: Option<u64>, now: Instant) -> Verdict {
         let ahead = checkpoint != self.from;
         let reported = death.reported();
-        let repeated = !ahead && reported.is_some() && reported == self.reported;
+        let repeated = self.deterministic && !ahead && reported.is_some() && reported == self.reported;
         (self.from, self.reported) = (checkpoint, reported);
         if ahead {
             self.spent.clear();

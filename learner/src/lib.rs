@@ -2,6 +2,7 @@
 
 pub mod agent;
 pub mod checkpoint;
+mod free;
 pub mod losses;
 pub mod record;
 pub mod replay;

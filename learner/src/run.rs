@@ -1,4 +1,4 @@
-//! The loop of the learner's process in lockstep.
+//! The loop of the learner's process in lockstep, and what it has in common with that of free mode ([`crate::free`]).
 //!
 //! A tick: every actor sends exactly one batch; the learner takes them in by the actors' order, asking the
 //! mentor-server about each; takes the gradient steps that are due; publishes the weights; and sends the next tick.
@@ -8,12 +8,14 @@
 //! Weights are published only right before a tick that names them, when no actor can still be reading others. The
 //! outcome is therefore a function of the plan alone.
 
+use crate::free;
 use crate::record::{Progress, RunResult};
 use crate::session::{Resumed, Session, SessionError};
 use std::time::Instant;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
+use trestle_proto::config::Mode;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
 use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
@@ -54,19 +56,10 @@ pub fn run(
     stop: Stop<'_>,
     progress: impl FnMut(&Progress),
 ) -> Result<RunResult, RunError> {
-    link.welcome(stop)?;
-    let mentor = if plan.mentor_len() > 0 { Some(fetch_transitions(link, plan)?) } else { None };
-    let (session, behaviour) = match plan.resume_tick {
-        None => (Session::new(plan, dir, mentor, progress)?, None),
-        Some(tick) => {
-            let Resumed { session, behaviour } = Session::resume(plan, dir, tick, mentor, progress)?;
-            if plan.mentor_len() > 0 {
-                rebuild_mentor(link, plan, &session)?;
-            }
-            (session, behaviour)
-        }
-    };
-    tracing::info!(tick = session.tick(), "all processes are ready");
+    let Resumed { session, behaviour } = begin(link, plan, dir, stop, progress)?;
+    if plan.config.run.mode == Mode::Free {
+        return free::run(link, plan, session, stop);
+    }
     let actors = plan.config.run.actors as usize;
     let rollout = plan.config.run.rollout as usize;
     Lockstep {
@@ -83,6 +76,30 @@ pub fn run(
         stop,
     }
     .run()
+}
+
+/// Lets all processes in and makes the session, or the one that goes on from the plan's checkpoint.
+fn begin<'a>(
+    link: &mut impl LearnerLink,
+    plan: &'a RunPlan,
+    dir: &'a RunDir,
+    stop: Stop<'_>,
+    progress: impl FnMut(&Progress) + 'a,
+) -> Result<Resumed<'a>, RunError> {
+    link.welcome(stop)?;
+    let mentor = if plan.mentor_len() > 0 { Some(fetch_transitions(link, plan)?) } else { None };
+    let resumed = match plan.resume_tick {
+        None => Resumed { session: Session::new(plan, dir, mentor, progress)?, behaviour: None },
+        Some(tick) => {
+            let resumed = Session::resume(plan, dir, tick, mentor, progress)?;
+            if plan.mentor_len() > 0 {
+                rebuild_mentor(link, plan, &resumed.session)?;
+            }
+            resumed
+        }
+    };
+    tracing::info!(tick = resumed.session.tick(), "all processes are ready");
+    Ok(resumed)
 }
 
 struct Lockstep<'a, L> {
@@ -120,7 +137,8 @@ impl<L: LearnerLink> Lockstep<'_, L> {
             logging::set_tick(tick);
             self.receive()?;
             let leaving = (self.stop)();
-            let saving = leaving || self.session.checkpoint_due(tick);
+            let steps = |ticks| ticks * self.plan.steps_per_tick();
+            let saving = leaving || self.session.checkpoint_due(steps(tick - 1), steps(tick));
             if lag == 1 {
                 self.dispatch(tick, saving, leaving)?;
             }
@@ -276,7 +294,14 @@ impl<L: LearnerLink> Lockstep<'_, L> {
     }
 }
 
-fn request(plan: &RunPlan, tick: u64, first_index: u64, op: u32, actor: u32, count: usize) -> ObserveRequest {
+pub(crate) fn request(
+    plan: &RunPlan,
+    tick: u64,
+    first_index: u64,
+    op: u32,
+    actor: u32,
+    count: usize,
+) -> ObserveRequest {
     let (run, count, obs_dim) = (plan.run, count as u32, plan.spec.obs_dim() as u32);
     ObserveRequest { run, tick, first_index, op, actor, count, obs_dim }
 }
@@ -306,7 +331,7 @@ fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<Ment
 }
 
 /// Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
-fn rebuild_mentor(
+pub(crate) fn rebuild_mentor(
     link: &mut impl LearnerLink,
     plan: &RunPlan,
     session: &Session<'_>,

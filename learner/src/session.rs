@@ -7,14 +7,16 @@
 use crate::agent::{Agent, AgentError, TrainStats};
 use crate::checkpoint::{self, CheckpointError, Cut, Saver};
 use crate::record::{
-    Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
-    RecordError, Recorder, RecorderState, RunResult, Settings, write_mentor,
+    ActorRow, Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY,
+    Progress, RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors,
+    write_mentor,
 };
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::time::{Duration, Instant};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError, Kind};
+use trestle_proto::config::Mode;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::plan::RunPlan;
@@ -23,7 +25,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 2 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 3 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +81,12 @@ pub struct Session<'a> {
     evaluated_at: Counters,
     /// The counts at which the evaluation became due with which the run is solved.
     solved_by: Option<Counters>,
+    /// Free mode: what has been counted of each incarnation of the actors.
+    actors: Vec<ActorRow>,
+    /// Free mode: processes that have been replaced.
+    replaced: u64,
+    /// Free mode: since the last interval row.
+    staleness: Staleness,
     /// Training since the last interval row.
     stats: TrainStats,
     /// Time spent waiting for other processes since `since`.
@@ -95,6 +103,8 @@ struct State {
     due: Option<Counters>,
     evaluated_at: Counters,
     solved_by: Option<Counters>,
+    actors: Vec<ActorRow>,
+    replaced: u64,
     /// The guide that the actors act with in the next tick, where it is not the agent's newest.
     guide: Vec<f32>,
 }
@@ -127,6 +137,9 @@ impl<'a> Session<'a> {
             ordered: None,
             evaluated_at: Counters::default(),
             solved_by: None,
+            actors: Vec::new(),
+            replaced: 0,
+            staleness: Staleness::default(),
             stats: TrainStats::default(),
             waited: Duration::ZERO,
             since: Instant::now(),
@@ -157,6 +170,9 @@ impl<'a> Session<'a> {
             ordered: None,
             evaluated_at: state.evaluated_at,
             solved_by: state.solved_by,
+            actors: state.actors,
+            replaced: state.replaced,
+            staleness: Staleness::default(),
             stats: TrainStats::default(),
             waited: Duration::ZERO,
             since: Instant::now(),
@@ -193,7 +209,7 @@ impl<'a> Session<'a> {
             tick: number,
             weights_version: version,
             // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
-            env_steps: (number - 1) * self.steps_per_tick(),
+            env_steps: (number - 1) * self.plan.steps_per_tick(),
             kind: COLLECT,
             amount: self.plan.config.run.rollout,
             ..self.blank()
@@ -223,16 +239,40 @@ impl<'a> Session<'a> {
         Tick { run: self.plan.run, tick: self.tick, ..Tick::default() }
     }
 
-    fn steps_per_tick(&self) -> u64 {
-        u64::from(self.plan.config.run.actors) * u64::from(self.plan.config.run.rollout)
-    }
-
-    /// Takes one actor's batch in; the batches of a tick come in the order of the actors.
-    pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<(), SessionError> {
-        for finished in self.agent.ingest(batch, observed)?.finished {
+    /// Takes one actor's batch in; the batches of a tick come in the order of the actors. Returns how many transitions
+    /// were counted: fewer than the batch has only where the run ended within it.
+    pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<usize, SessionError> {
+        let ingested = self.agent.ingest(batch, observed)?;
+        for finished in ingested.finished {
             self.recorder.episode(&finished.counters, &finished.episode)?;
         }
-        Ok(())
+        Ok(ingested.consumed)
+    }
+
+    /// Free mode: incarnation `incarnation` of `actor` has come, and begins with an episode. That of the former one, if
+    /// there was one, remains unfinished.
+    pub fn joined(&mut self, actor: u32, incarnation: u32) {
+        self.agent.abandon_episode(actor);
+        // Those that are started with the run are numbered from a multiple of 2^16 on.
+        self.replaced += u64::from(incarnation.trailing_zeros() < 16);
+        self.actors.push(ActorRow { actor, incarnation, ..ActorRow::default() });
+    }
+
+    /// Free mode: the mentor-server has been replaced.
+    pub fn mentor_replaced(&mut self) {
+        self.replaced += 1;
+    }
+
+    /// Free mode: counts a batch of the actor that has come last under its index, `env_steps` transitions of which have
+    /// been ingested.
+    pub fn count_batch(&mut self, batch: &Batch, env_steps: usize) {
+        let age = self.tick.saturating_sub(batch.header.weights_version);
+        self.staleness.add(age);
+        if let Some(row) = self.actors.iter_mut().rev().find(|row| row.actor == batch.header.actor) {
+            row.batches += 1;
+            row.env_steps += env_steps as u64;
+            row.staleness.add(age);
+        }
     }
 
     /// Takes the gradient steps that the transitions of tick `number` make due, and decides whether an evaluation is.
@@ -250,6 +290,7 @@ impl<'a> Session<'a> {
             let gauges = self.gauges();
             self.recorder.interval(&now, &gauges)?;
             self.stats = TrainStats::default();
+            self.staleness = Staleness::default();
             self.waited = Duration::ZERO;
             self.since = Instant::now();
         }
@@ -268,8 +309,9 @@ impl<'a> Session<'a> {
     /// lag the one after it, is under way: that tick is the last one wherever the answer came earlier, too.
     fn solved(&self) -> bool {
         let run = &self.plan.config.run;
-        let last = |by: Counters| by.env_steps / self.steps_per_tick() + 1 + u64::from(run.lag);
-        run.stop_when_solved && self.solved_by.is_some_and(|by| self.tick >= last(by))
+        let last = |by: Counters| by.env_steps / self.plan.steps_per_tick() + 1 + u64::from(run.lag);
+        let now = |by| run.mode == Mode::Free || self.tick >= last(by);
+        run.stop_when_solved && self.solved_by.is_some_and(now)
     }
 
     /// The actors are ahead of what the agent has learnt from, and will not be taken back: see [`Agent::cut`].
@@ -326,11 +368,10 @@ impl<'a> Session<'a> {
         self.waited += time;
     }
 
-    /// Whether a checkpoint is to be taken after tick `number`.
-    pub fn checkpoint_due(&self, number: u64) -> bool {
+    /// Whether a checkpoint is to be taken when the count of environment steps goes from `before` to `after`.
+    pub fn checkpoint_due(&self, before: u64, after: u64) -> bool {
         let every = self.plan.config.checkpoint.every_env_steps;
-        let steps = |ticks: u64| ticks * self.steps_per_tick();
-        every > 0 && steps(number) / every > steps(number - 1) / every
+        every > 0 && after / every > before / every
     }
 
     /// Takes a checkpoint after the last trained tick. `behaviour`: weights and guide that actors act with in the next
@@ -346,12 +387,14 @@ impl<'a> Session<'a> {
             due: self.due,
             evaluated_at: self.evaluated_at,
             solved_by: self.solved_by,
+            actors: self.actors.clone(),
+            replaced: self.replaced,
             guide: guide.unwrap_or_default().to_vec(),
         };
         let run = codec::encode(KIND, &state)?;
         let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
         self.saver.save(&cut, records)?;
-        self.write_mentor()?;
+        self.write_tables()?;
         tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");
         Ok(())
     }
@@ -360,15 +403,18 @@ impl<'a> Session<'a> {
     pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
         self.saver.wait()?;
         self.show_progress();
-        self.write_mentor()?;
+        self.write_tables()?;
         let gauges = self.gauges();
-        let restarts = self.plan.restarts;
+        let restarts = self.plan.restarts + self.replaced;
         let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted };
         Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
     }
 
-    /// Brings `mentor.csv` up to date.
-    fn write_mentor(&self) -> Result<(), SessionError> {
+    /// Brings `mentor.csv` and `actors.csv` up to date.
+    fn write_tables(&self) -> Result<(), SessionError> {
+        if self.plan.config.run.mode == Mode::Free {
+            write_actors(self.dir.root(), &self.actors)?;
+        }
         let Some(rows) = self.agent.mentor_rows() else { return Ok(()) };
         Ok(write_mentor(self.dir.root(), &self.plan.mentors, self.plan.spec.obs_dim(), rows)?)
     }
@@ -389,6 +435,13 @@ impl<'a> Session<'a> {
             ipc_wait_frac: self.waited.as_secs_f64() / self.since.elapsed().as_secs_f64(),
             ..Gauges::default()
         };
+        if config.run.mode == Mode::Free {
+            let counters = self.agent.counters();
+            let samples = counters.grad_steps * config.learner.batch as u64;
+            gauges.staleness_mean = self.staleness.mean();
+            gauges.staleness_max = self.staleness.max();
+            gauges.samples_per_insert = samples as f64 / counters.env_steps as f64;
+        }
         if let Some(all) = self.mentor_gauges("", 0..self.plan.mentor_len()) {
             gauges.feasible_frac = all.feasible_frac;
             gauges.bridged_frac = all.bridged_frac;

@@ -12,6 +12,7 @@ pub mod limits;
 pub mod logging;
 pub mod mentor;
 pub mod observe;
+pub mod orders;
 pub mod plan;
 pub mod pulse;
 pub mod query;

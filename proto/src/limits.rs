@@ -72,3 +72,6 @@ pub const OBSERVE_DEADLINE: Duration = Duration::from_secs(30);
 pub const REAP: Duration = Duration::from_secs(10);
 /// How long a client waits for an answer to a query.
 pub const QUERY_DEADLINE: Duration = Duration::from_secs(10);
+/// Time that a process which has been started is given to make its place among the services before anything that looks dead is
+/// removed there.
+pub const SETTLE: Duration = Duration::from_secs(1);

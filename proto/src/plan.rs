@@ -3,11 +3,12 @@
 
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind};
+use crate::limits::TRANSITIONS_BUFFER;
 use crate::space::EnvSpec;
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
-const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 1 };
+const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 2 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,6 +27,9 @@ pub struct RunPlan {
     pub resume_tick: Option<u64>,
     /// How many times the run has been started again after the death of one of its processes.
     pub restarts: u64,
+    /// How many times the run's processes have been started, all of them, before this plan's: those of free mode have
+    /// incarnations from `generation << 16` on.
+    pub generation: u32,
 }
 
 /// One of the demonstrations of a run. All of them together are the run's one list of mentor transitions.
@@ -72,6 +76,20 @@ impl RunPlan {
     /// Number of values of each feature, for the one-hot encoding of whole-numbered features.
     pub fn one_hot_sizes(&self) -> Vec<usize> {
         self.spec.low.iter().zip(&self.spec.high).map(|(low, high)| (high - low) as usize + 1).collect()
+    }
+
+    /// Environment steps of a tick in lockstep.
+    pub fn steps_per_tick(&self) -> u64 {
+        u64::from(self.config.run.actors) * u64::from(self.config.run.rollout)
+    }
+
+    /// Batches of an actor that may be on their way in free mode, 1 to 64.
+    pub fn window(&self) -> u64 {
+        let ahead = match self.config.run.ahead {
+            0 => 2 * self.steps_per_tick(),
+            ahead => ahead,
+        };
+        (ahead / self.steps_per_tick()).clamp(1, TRANSITIONS_BUFFER as u64)
     }
 
     /// Return from which on an evaluation counts as optimal, if one is known.

@@ -23,8 +23,8 @@ pub const TRANSITIONS: u32 = 4;
 pub const STATS: u32 = 5;
 
 /// What an answer's `status` says: its position in this list.
-pub const STATUS: [&str; 5] =
-    ["ok", "unknown operation", "malformed request", "out of range", "out of order"];
+pub const STATUS: [&str; 6] =
+    ["ok", "unknown operation", "malformed request", "out of range", "out of order", "not ready"];
 /// All is well.
 pub const OK: u32 = 0;
 /// The operation does not exist.
@@ -35,6 +35,8 @@ pub const MALFORMED: u32 = 2;
 pub const OUT_OF_RANGE: u32 = 3;
 /// The history would have a gap.
 pub const OUT_OF_ORDER: u32 = 4;
+/// The learner has not let this mentor-server in yet.
+pub const NOT_READY: u32 = 5;
 
 /// What is sent beside a request.
 #[repr(C)]

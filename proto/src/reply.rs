@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 pub const EVALUATION: u32 = 1;
 /// The payload is the actor's state, to be handed back to it when the run is resumed.
 pub const ACTOR_STATE: u32 = 2;
+/// No payload: an actor in free mode has come. In the place of the tick's number stands its incarnation.
+pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
 pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 1 };

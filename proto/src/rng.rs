@@ -12,9 +12,9 @@ pub use rand_chacha::ChaCha8Rng as Stream;
 pub enum Purpose {
     /// Initial weights of the Q-network.
     Weights = 1,
-    /// Exploration of one actor (index: actor).
+    /// Exploration of one actor (index: actor, and its incarnation times 2^32).
     Explore = 2,
-    /// Episode resets of one actor's environment (index: actor).
+    /// Episode resets of one actor's environment (index as of `Explore`).
     Environment = 3,
     /// Draws from the replay.
     Replay = 4,

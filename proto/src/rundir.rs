@@ -86,6 +86,11 @@ impl RunDir {
         self.root.join("mentor.csv")
     }
 
+    /// What was counted of each incarnation of an actor, in free mode.
+    pub fn actors(&self) -> PathBuf {
+        self.root.join("actors.csv")
+    }
+
     /// Greedy evaluations.
     pub fn evals(&self) -> PathBuf {
         self.root.join("evals.csv")

@@ -8,6 +8,16 @@ pub fn epsilon(exploration: &Exploration, env_steps: u64) -> f64 {
     linear(exploration.epsilon_start, exploration.epsilon_end, exploration.epsilon_decay_steps, env_steps)
 }
 
+/// ε of actor `actor` of `actors` after `env_steps` environment steps of all actors: [`epsilon`] to the power of
+/// `1 + epsilon_spread * actor / (actors - 1)`, so that later actors explore less.
+pub fn actor_epsilon(exploration: &Exploration, env_steps: u64, actor: u32, actors: u32) -> f64 {
+    let epsilon = epsilon(exploration, env_steps);
+    if exploration.epsilon_spread == 0.0 || actors < 2 {
+        return epsilon;
+    }
+    epsilon.powf(1.0 + exploration.epsilon_spread * f64::from(actor) / f64::from(actors - 1))
+}
+
 /// The share of exploring steps that are guided after `env_steps` environment steps of all actors: from `guide_start`
 /// to `guide_end`, linearly over `guide_decay_steps`, constant from then on.
 pub fn guide(exploration: &Exploration, env_steps: u64) -> f64 {
@@ -39,6 +49,7 @@ mod tests {
             epsilon_start: 1.0,
             epsilon_end: 0.1,
             epsilon_decay_steps: 90,
+            epsilon_spread: 7.0,
             guide_start: 0.5,
             guide_end: 0.0,
             guide_decay_steps: 10,
@@ -48,6 +59,12 @@ mod tests {
         assert!((epsilon(&exploration, 45) - 0.55).abs() < 1e-12);
         assert_eq!(epsilon(&exploration, 90), 0.1);
         assert_eq!(epsilon(&exploration, u64::MAX), 0.1);
+        let spread = [0, 1, 2].map(|actor| actor_epsilon(&exploration, 90, actor, 3));
+        for (found, power) in spread.iter().zip([1, 45, 8]) {
+            let expected = if power == 45 { 0.1f64.powf(4.5) } else { 0.1f64.powi(power) };
+            assert!((found - expected).abs() < 1e-12, "{spread:?}");
+        }
+        assert_eq!(actor_epsilon(&exploration, 90, 0, 1), 0.1);
     }
 
     proptest! {

@@ -39,7 +39,7 @@ fn plan(run: u64) -> RunPlan {
         goal_bonus: 0.0,
     };
     let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
-    RunPlan { run, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0 }
+    RunPlan { run, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0, generation: 0 }
 }
 
 fn weights(version: u64) -> Vec<f32> {

@@ -144,6 +144,11 @@ impl Agent {
         if self.cut_short && !self.done() { Err(AgentError::CutShort) } else { Ok(()) }
     }
 
+    /// Forgets return and length of `actor`'s unfinished episode: it will have no end.
+    pub fn abandon_episode(&mut self, actor: u32) {
+        self.running[actor as usize] = Running::default();
+    }
+
     /// The replay, to be read from a checkpoint.
     pub(crate) fn replay_mut(&mut self) -> &mut crate::replay::Replay {
         &mut self.replay

@@ -90,6 +90,12 @@ pub struct Gauges {
     pub replay_size: u64,
     /// Share of the wall clock spent waiting for other processes, 0 to 1.
     pub ipc_wait_frac: f64,
+    /// Free mode: mean age of the weights that batches were collected with, in publications, since the last interval.
+    pub staleness_mean: f64,
+    /// The highest of these ages.
+    pub staleness_max: f64,
+    /// Free mode: samples of gradient steps per stored transition, since the run began.
+    pub samples_per_insert: f64,
 }
 
 /// What the loop knows of one demonstration. NaN as in [`Gauges`].
@@ -125,6 +131,9 @@ impl Default for Gauges {
             mentor_loss_frac: f64::NAN,
             replay_size: 0,
             ipc_wait_frac: f64::NAN,
+            staleness_mean: f64::NAN,
+            staleness_max: f64::NAN,
+            samples_per_insert: f64::NAN,
         }
     }
 }
@@ -218,6 +227,9 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
     row.real("loss/mentor_frac", gauges.mentor_loss_frac);
     row.count("replay/size", gauges.replay_size);
     row.real("ipc/wait_frac", gauges.ipc_wait_frac);
+    row.real("free/staleness_mean", gauges.staleness_mean);
+    row.real("free/staleness_max", gauges.staleness_max);
+    row.real("free/samples_per_insert", gauges.samples_per_insert);
     row
 }
 

@@ -1,5 +1,5 @@
 //! What a run leaves behind beside its checkpoints: `evals.csv`, `metrics.jsonl`, TensorBoard's curves,
-//! `mentor.csv` and `result.json`. Used alike by the learner's process and by the single-process loop.
+//! `mentor.csv`, in free mode `actors.csv`, and `result.json`. Used alike by the learner's process and by the single-process loop.
 //!
 //! ```text
 //! recorder = Recorder::create(dir, settings)         of a new run, or
@@ -19,6 +19,7 @@
 //! points are void. The clock decides only when an interval or a progress line is due, and fills `wall_s`,
 //! `fps` and `time_elapsed`: nothing here flows back into training.
 
+mod actors;
 mod error;
 mod lines;
 mod mentor;
@@ -28,6 +29,7 @@ mod result;
 mod solved;
 mod tensorboard;
 
+pub use actors::{ACTORS_FILE, ActorRow, Staleness, write_actors};
 pub use error::RecordError;
 pub use mentor::{MENTOR_FILE, MentorRow, write_mentor};
 pub use metrics::{Episode, Gauges, MentorGauges, WINDOW};

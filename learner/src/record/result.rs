@@ -43,7 +43,7 @@ pub struct RunResult {
     pub final_return: Option<f64>,
     /// SHA-256 of the final weights, in hexadecimal.
     pub weights_sha256: String,
-    /// How many times the run was started again after a process of it had died.
+    /// How many times the run, or in free mode a process of it, was started again after a death.
     pub restarts: u64,
     /// Whether the run ended before its limits, as after a SIGINT.
     pub interrupted: bool,

@@ -64,6 +64,9 @@ pub struct Run {
     pub rollout: u32,
     /// 0: actors wait for the newest weights. 1: they collect with those before, while the learner trains.
     pub lag: u32,
+    /// With `mode = "free"`: environment steps that all actors together may be ahead of what has been learnt from, 1 to
+    /// 64 times `actors * rollout`; 0: twice as many as that.
+    pub ahead: u64,
     /// The instruction set that the network is computed with. All give the same bits.
     pub isa: IsaKind,
 }
@@ -116,6 +119,8 @@ impl Algo {
 pub enum Mode {
     /// Tick by tick: the result depends on the configuration alone.
     Lockstep,
+    /// Every actor streams, and only a process that dies is replaced; the result depends on the timing, too.
+    Free,
     /// The same algorithm in one process, without services: the oracle of `lockstep`.
     Reference,
 }
@@ -172,6 +177,9 @@ pub struct Exploration {
     pub epsilon_end: f64,
     /// Environment steps of all actors over which ε falls linearly.
     pub epsilon_decay_steps: u64,
+    /// Actor i of N acts with ε to the power of `1 + epsilon_spread * i / (N - 1)`, 0 to 100 (Horgan et al. 2018,
+    /// "Distributed Prioritized Experience Replay", with 7); 0: all with the same.
+    pub epsilon_spread: f64,
     /// Guided exploration, not the paper's: share of the exploring steps, at the first step, that take the action known
     /// for the nearest similar mentor state, 0 to 1. Both 0: none.
     pub guide_start: f64,
@@ -418,6 +426,7 @@ impl Default for Run {
             actors: 1,
             rollout: 32,
             lag: 0,
+            ahead: 0,
             isa: IsaKind::Auto,
         }
     }
@@ -444,6 +453,7 @@ impl Default for Exploration {
             epsilon_start: 1.0,
             epsilon_end: 0.05,
             epsilon_decay_steps: 50_000,
+            epsilon_spread: 0.0,
             guide_start: 0.0,
             guide_end: 0.0,
             guide_decay_steps: 50_000,

@@ -1,9 +1,9 @@
 //! Ranges and combinations of settings that types do not exclude.
 
-use super::{Config, ConfigError, DrawKind, EnvKind, SelectionKind, TargetKind};
+use super::{Config, ConfigError, DrawKind, EnvKind, Mode, SelectionKind, TargetKind};
 use crate::limits::{
     MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_MENTORS, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT,
-    MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S,
+    MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S, TRANSITIONS_BUFFER,
 };
 use std::fmt::Display;
 use std::ops::RangeBounds;
@@ -76,6 +76,17 @@ impl Config {
         within("run.env_steps", run.env_steps.unwrap_or(1), 1.., "1 or more")?;
         within("run.actors", run.actors, 1..=MAX_ACTORS, "1 to 64")?;
         within("run.rollout", run.rollout, 1..=MAX_ROLLOUT, "1 to 4096")?;
+        if run.mode == Mode::Free {
+            within("run.lag", run.lag, ..=0, "0 with run.mode = free, whose actors never wait for a tick")?;
+            let least = u64::from(run.actors) * u64::from(run.rollout);
+            let most = least * TRANSITIONS_BUFFER as u64;
+            let accepted = format!("{least} (run.actors * run.rollout) to {most}, or 0 for twice {least}");
+            if run.ahead > 0 {
+                within("run.ahead", run.ahead, least..=most, &accepted)?;
+            }
+            return Ok(());
+        }
+        within("run.ahead", run.ahead, ..=0, "0 without run.mode = free")?;
         within("run.lag", run.lag, 0..=1, "0 or 1")
     }
 
@@ -122,6 +133,7 @@ impl Config {
         let e = &self.exploration;
         within("exploration.epsilon_start", e.epsilon_start, 0.0..=1.0, "0 to 1")?;
         within("exploration.epsilon_end", e.epsilon_end, 0.0..=1.0, "0 to 1")?;
+        within("exploration.epsilon_spread", e.epsilon_spread, 0.0..=100.0, "0 to 100")?;
         within("exploration.guide_start", e.guide_start, 0.0..=1.0, "0 to 1")?;
         within("exploration.guide_end", e.guide_end, 0.0..=1.0, "0 to 1")
     }

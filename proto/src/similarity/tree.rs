@@ -194,7 +194,8 @@ impl Tree {
             let (at, node) = (at as usize, &self.nodes[at as usize]);
             let kl = if node.leaf { self.kl(at, 0, query) } else { self.lower_bounds(at, query) };
             // As bits: which are in reach nobody can predict, how many there are is better known.
-            let in_reach = kl.iter().zip(0..).fold(0, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
+            let in_reach =
+                kl.iter().zip(0..).fold(0, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
             let mut bits = in_reach & ((1 << node.count) - 1);
             while bits != 0 {
                 let lane = bits.trailing_zeros();

@@ -7,16 +7,24 @@ use super::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorL
 use crate::batch::{Batch, BatchHeader};
 use crate::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER};
 use crate::observe::{ObserveAnswer, ObserveRequest, Observed};
+use crate::orders::Orders;
 use crate::plan::RunPlan;
 use crate::query::{OK, QueryAnswer, QueryRequest, status_text};
 use crate::reply::Reply;
 use crate::tick::Tick;
 use crate::weights::{WeightsError, WeightsHeader};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 type Weights = Arc<Mutex<Option<(WeightsHeader, Vec<f32>)>>>;
+
+/// The newest orders and how many there have been.
+#[derive(Default)]
+struct Newest {
+    orders: Mutex<(u64, Orders)>,
+    changed: Condvar,
+}
 
 enum ToLearner {
     Batch(BatchHeader, Vec<u32>),
@@ -36,6 +44,9 @@ pub struct LocalActor {
     /// The weights received last.
     copy: Vec<f32>,
     ticks: Receiver<Tick>,
+    orders: Arc<Newest>,
+    /// How many orders there had been when some were received last.
+    received: u64,
     learner: SyncSender<ToLearner>,
 }
 
@@ -48,6 +59,7 @@ pub struct LocalLearner {
     mentor_len: usize,
     weights: Weights,
     ticks: Vec<SyncSender<Tick>>,
+    orders: Arc<Newest>,
     inbox: Receiver<ToLearner>,
     mentor: SyncSender<Request>,
 }
@@ -62,6 +74,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
     let actors = plan.config.run.actors as usize;
     let sizes: Vec<u32> = plan.sizes().into_iter().map(|n| n as u32).collect();
     let weights = Weights::default();
+    let orders = Arc::<Newest>::default();
     let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
     let (to_mentor, requests) = sync_channel(1);
     let (ticks, receivers): (Vec<_>, Vec<_>) = (0..actors).map(|_| sync_channel(TICKS_BUFFER)).unzip();
@@ -73,6 +86,8 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
             weights: weights.clone(),
             copy: Vec::new(),
             ticks,
+            orders: orders.clone(),
+            received: 0,
             learner: to_learner.clone(),
         })
         .collect();
@@ -84,6 +99,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         mentor_len: plan.mentor_len(),
         weights,
         ticks,
+        orders,
         inbox,
         mentor: to_mentor,
     };
@@ -116,17 +132,33 @@ impl ActorLink for LocalActor {
         Ok(tick)
     }
 
-    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
+    fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
+        let newest = self.orders.orders.lock().unwrap_or_else(PoisonError::into_inner);
+        let received = self.received;
+        let waited = self.orders.changed.wait_timeout_while(newest, timeout, |newest| newest.0 == received);
+        let (count, orders) = *waited.unwrap_or_else(PoisonError::into_inner).0;
+        if count == received {
+            return Ok(None);
+        }
+        self.received = count;
+        orders.validate(self.run)?;
+        Ok(Some(orders))
+    }
+
+    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError> {
         let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
-        let (header, weights) = newest
-            .as_ref()
-            .ok_or_else(|| LinkError::Unexpected(format!("a tick for weights {version}, but no weights")))?;
+        let Some((header, weights)) = newest.as_ref() else { return Ok(None) };
         self.copy.resize(weights.len(), 0.0);
         header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
-        if header.version == version {
-            return Ok(&self.copy);
+        Ok(Some((header.version, &self.copy)))
+    }
+
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
+        match self.newest_weights()? {
+            Some((found, weights)) if found == version => Ok(weights),
+            Some((found, _)) => Err(WeightsError::Version { found, expected: version }.into()),
+            None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
         }
-        Err(WeightsError::Version { found: header.version, expected: version }.into())
     }
 
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
@@ -149,6 +181,21 @@ impl LearnerLink for LocalLearner {
         let header = WeightsHeader::new(self.run, version, &self.sizes, weights);
         *self.weights.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, weights.to_vec()));
         Ok(())
+    }
+
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
+        let mut newest = self.orders.orders.lock().unwrap_or_else(PoisonError::into_inner);
+        *newest = (newest.0 + 1, *orders);
+        self.orders.changed.notify_all();
+        Ok(())
+    }
+
+    fn mentor_waits(&self) -> bool {
+        false
+    }
+
+    fn rejoin_mentor(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Err(gone("the mentor-server"))
     }
 
     fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {

@@ -13,6 +13,7 @@ use crate::annotation::AnnotationError;
 use crate::batch::{Batch, BatchError};
 use crate::mentor::MentorTransitionsError;
 use crate::observe::{ObserveAnswer, ObserveError, ObserveRequest, Observed};
+use crate::orders::{Orders, OrdersError};
 use crate::query::{QueryAnswer, QueryRequest};
 use crate::reply::Reply;
 use crate::tick::{Tick, TickError};
@@ -70,6 +71,9 @@ pub enum LinkError {
     /// See [`TickError`].
     #[error(transparent)]
     Tick(#[from] TickError),
+    /// See [`OrdersError`].
+    #[error(transparent)]
+    Orders(#[from] OrdersError),
     /// See [`WeightsError`].
     #[error(transparent)]
     Weights(#[from] WeightsError),
@@ -106,6 +110,10 @@ pub trait ActorLink {
     fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError>;
     /// The newest published weights, checked; they must be `version`.
     fn weights(&mut self, version: u64) -> Result<&[f32], LinkError>;
+    /// The newest orders, if others than those before come within `timeout`; free mode only.
+    fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
+    /// The newest published weights, checked, and their version; none if none have come yet.
+    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.
@@ -121,12 +129,20 @@ pub enum FromActor {
     Reply(Reply),
 }
 
-/// The learner's side.
+/// The learner's side. In free mode a message to the actors may miss those that have just died: the next ones get the
+/// newest weights and orders when they come.
 pub trait LearnerLink {
     /// Waits until every actor, and the mentor-server if the run has one, has announced itself.
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// Publishes weights; the actors see the newest only.
     fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError>;
+    /// Gives orders to the actors, who see the newest only; free mode only.
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError>;
+    /// Whether a new mentor-server waits to be let in.
+    fn mentor_waits(&self) -> bool;
+    /// Waits, for as long as it takes, until a new mentor-server has announced itself; it knows nothing of the history. Until
+    /// then requests for its history fail.
+    fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// Sends a tick to every actor.
     fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError>;
     /// The next message of any actor, if one comes within `timeout`. A batch is copied, checked and put at its

@@ -4,7 +4,9 @@ use super::services::Services;
 use super::{Domain, Ipc, failed, give_up_in_time, wake};
 use crate::batch::{Batch, BatchHeader};
 use crate::limits::{HANDSHAKE, HELLO_INTERVAL};
+use crate::orders::Orders;
 use crate::plan::RunPlan;
+use crate::pulse;
 use crate::reply::{Reply, ReplyHeader};
 use crate::tick::Tick;
 use crate::transport::{ActorLink, LinkError, Stop};
@@ -30,6 +32,8 @@ pub struct IceoryxActor {
     newest: Option<u64>,
     copy: Vec<f32>,
     ticks: Subscriber<Ipc, Tick, ()>,
+    /// In free mode.
+    orders: Option<Subscriber<Ipc, Orders, ()>>,
     transitions: Publisher<Ipc, [u32], BatchHeader>,
     replies: Publisher<Ipc, [u8], ReplyHeader>,
     listener: Listener<Ipc>,
@@ -74,6 +78,12 @@ impl IceoryxActor {
                 .subscriber_builder()
                 .create()
                 .map_err(failed("creating the subscriber of ticks"))?,
+            orders: services
+                .orders
+                .as_ref()
+                .map(|orders| orders.subscriber_builder().create())
+                .transpose()
+                .map_err(failed("creating the subscriber of orders"))?,
             transitions,
             replies,
             listener: wake::listener(&services.wake_actors)?,
@@ -90,6 +100,29 @@ impl IceoryxActor {
         tick.validate(self.services.run)?;
         Ok(Some(tick))
     }
+
+    fn try_orders(&self) -> Result<Option<Orders>, LinkError> {
+        let Some(subscriber) = &self.orders else {
+            return Err(LinkError::Unexpected("waiting for orders in lockstep".into()));
+        };
+        let Some(sample) = subscriber.receive().map_err(failed("receiving orders"))? else {
+            return Ok(None);
+        };
+        let orders = *sample.payload();
+        orders.validate(self.services.run)?;
+        Ok(Some(orders))
+    }
+
+    /// Takes over the weights that have come since the last time.
+    fn update_weights(&mut self) -> Result<(), LinkError> {
+        while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
+            let header = *sample.user_header();
+            let (run, network) = (self.services.run, &self.services.sizes.network);
+            header.receive(run, network, sample.payload(), &mut self.copy)?;
+            self.newest = Some(header.version);
+        }
+        Ok(())
+    }
 }
 
 impl ActorLink for IceoryxActor {
@@ -100,19 +133,24 @@ impl ActorLink for IceoryxActor {
             if stop() {
                 return Err(LinkError::Interrupted("the learner"));
             }
-            if start.elapsed() > HANDSHAKE {
+            // In free mode the learner may be busy for long.
+            if self.orders.is_none() && start.elapsed() > HANDSHAKE {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
                     waited_ms: HANDSHAKE.as_millis(),
                 });
             }
+            pulse::step();
             wake::notify(&self.learner, wake::HELLO + self.index)?;
             let mine = wake::WELCOME + self.index;
             wake::sleep(&self.listener, HELLO_INTERVAL, |event| welcome |= event == mine)?;
         }
         self.weights.update_connections().map_err(failed("mapping the weights"))?;
         self.ticks.update_connections().map_err(failed("mapping the ticks"))?;
+        if let Some(orders) = &self.orders {
+            orders.update_connections().map_err(failed("mapping the orders"))?;
+        }
         self.transitions.update_connections().map_err(failed("mapping the learner"))?;
         self.replies.update_connections().map_err(failed("mapping the learner"))?;
         wake::notify(&self.learner, wake::READY + self.index)
@@ -122,17 +160,19 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_tick())
     }
 
+    fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
+        // An actor that is always busy must take notifications, too.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        wake::wait(&self.listener, timeout, || self.try_orders())
+    }
+
+    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError> {
+        self.update_weights()?;
+        Ok(self.newest.map(|version| (version, &*self.copy)))
+    }
+
     fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
-        while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
-            let header = *sample.user_header();
-            header.receive(
-                self.services.run,
-                &self.services.sizes.network,
-                sample.payload(),
-                &mut self.copy,
-            )?;
-            self.newest = Some(header.version);
-        }
+        self.update_weights()?;
         match self.newest {
             Some(found) if found == version => Ok(&self.copy),
             Some(found) => Err(crate::weights::WeightsError::Version { found, expected: version }.into()),

@@ -6,7 +6,9 @@ use super::{Domain, Ipc, failed, give_up_in_time, wake};
 use crate::batch::{Batch, BatchHeader};
 use crate::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use crate::observe::{ObserveAnswer, ObserveRequest, Observed};
+use crate::orders::Orders;
 use crate::plan::RunPlan;
+use crate::pulse;
 use crate::query::{QueryAnswer, QueryRequest, status_text};
 use crate::reply::{Reply, ReplyHeader};
 use crate::tick::Tick;
@@ -28,11 +30,14 @@ pub struct IceoryxLearner {
     replies: Subscriber<Ipc, [u8], ReplyHeader>,
     weights: Publisher<Ipc, [f32], WeightsHeader>,
     ticks: Publisher<Ipc, Tick, ()>,
+    /// In free mode.
+    orders: Option<Publisher<Ipc, Orders, ()>>,
     observe: Client<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>,
     query: query::Port,
     listener: Listener<Ipc>,
     actors: Notifier<Ipc>,
     mentor: Notifier<Ipc>,
+    mentor_waits: bool,
     services: Services,
 }
 
@@ -56,6 +61,9 @@ impl IceoryxLearner {
             .set_backpressure_handler(give_up_in_time)
             .create()
             .map_err(failed("creating the publisher of ticks"))?;
+        let orders =
+            services.orders.as_ref().map(|orders| orders.publisher_builder().max_loaned_samples(1).create());
+        let orders = orders.transpose().map_err(failed("creating the publisher of orders"))?;
         let observe = services
             .observe
             .client_builder()
@@ -76,11 +84,13 @@ impl IceoryxLearner {
                 .map_err(failed("creating the subscriber of replies"))?,
             weights,
             ticks,
+            orders,
             observe,
             query: query::port(&services)?,
             listener: wake::listener(&services.wake_learner)?,
             actors: wake::notifier(&services.wake_actors)?,
             mentor: wake::notifier(&services.wake_mentor)?,
+            mentor_waits: false,
             services,
         })
     }
@@ -89,7 +99,95 @@ impl IceoryxLearner {
         self.transitions.update_connections().map_err(failed("mapping an actor"))?;
         self.replies.update_connections().map_err(failed("mapping an actor"))?;
         self.weights.update_connections().map_err(failed("mapping an actor"))?;
+        if let Some(orders) = &self.orders {
+            orders.update_connections().map_err(failed("mapping an actor"))?;
+        }
         self.ticks.update_connections().map_err(failed("mapping an actor"))
+    }
+
+    /// Waits until each of `missing` has announced itself, `patience` at the most, and maps all peers.
+    fn let_in(
+        &mut self,
+        mut missing: Vec<usize>,
+        patience: Duration,
+        stop: Stop<'_>,
+    ) -> Result<(), LinkError> {
+        let start = Instant::now();
+        while !missing.is_empty() {
+            if stop() {
+                return Err(LinkError::Interrupted("actors and mentor-server"));
+            }
+            if start.elapsed() > patience {
+                let name = |p: &usize| {
+                    if *p == MENTOR_PEER { "mentor-server".into() } else { format!("actor {p}") }
+                };
+                return Err(LinkError::Deadline {
+                    peer: missing.iter().map(name).collect::<Vec<_>>().join(", "),
+                    what: "welcome",
+                    waited_ms: patience.as_millis(),
+                });
+            }
+            pulse::step();
+            let mut hello = Vec::new();
+            wake::sleep(&self.listener, WAIT_SLICE, |event| match event {
+                wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
+                wake::READY..wake::CREATED => missing.retain(|p| *p != event - wake::READY),
+                _ => {}
+            })?;
+            for peer in hello {
+                self.answer_hello(peer)?;
+            }
+        }
+        // A last hello may have come together with the ready that follows it.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        self.mentor_waits = false;
+        // Peers that became ready have created nothing since, so this maps all of them.
+        self.connect()
+    }
+
+    fn answer_hello(&mut self, peer: usize) -> Result<(), LinkError> {
+        self.connect()?;
+        let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
+        wake::notify(notifier, wake::WELCOME + peer)
+    }
+
+    /// Sleeps until notified or until `timeout` is over. Lets actors in that come late; a mentor-server that does so has no
+    /// history, and must wait until it can be given one.
+    fn sleep(&mut self, timeout: Duration) -> Result<(), LinkError> {
+        let (mut hello, mut ready) = (Vec::new(), false);
+        wake::sleep(&self.listener, timeout, |event| match event {
+            wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
+            wake::READY..wake::CREATED => ready = true,
+            _ => {}
+        })?;
+        for peer in hello {
+            if peer == MENTOR_PEER {
+                self.mentor_waits = self.orders.is_some();
+            } else {
+                self.answer_hello(peer)?;
+            }
+        }
+        if ready { self.connect() } else { Ok(()) }
+    }
+
+    /// Polls until `poll` gives something or `timeout` is over, asleep in between.
+    fn wait<T>(
+        &mut self,
+        timeout: Duration,
+        mut poll: impl FnMut(&Self) -> Result<Option<T>, LinkError>,
+    ) -> Result<Option<T>, LinkError> {
+        let start = Instant::now();
+        loop {
+            if let Some(found) = poll(self)? {
+                return Ok(Some(found));
+            }
+            let left = timeout.saturating_sub(start.elapsed());
+            // Also without time to wait: whoever is always busy must take notifications, too.
+            self.sleep(left.min(WAIT_SLICE))?;
+            if left.is_zero() {
+                return poll(self);
+            }
+        }
     }
 
     fn try_recv(&self, batches: &mut [Batch]) -> Result<Option<FromActor>, LinkError> {
@@ -116,39 +214,26 @@ impl IceoryxLearner {
 
 impl LearnerLink for IceoryxLearner {
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
-        let start = Instant::now();
         let mut missing: Vec<usize> = (0..self.services.sizes.actors).collect();
         if self.services.sizes.mentor_len > 0 {
             missing.push(MENTOR_PEER);
         }
-        while !missing.is_empty() {
-            if stop() {
-                return Err(LinkError::Interrupted("actors and mentor-server"));
-            }
-            if start.elapsed() > HANDSHAKE {
-                let name = |p: &usize| {
-                    if *p == MENTOR_PEER { "mentor-server".into() } else { format!("actor {p}") }
-                };
-                return Err(LinkError::Deadline {
-                    peer: missing.iter().map(name).collect::<Vec<_>>().join(", "),
-                    what: "welcome",
-                    waited_ms: HANDSHAKE.as_millis(),
-                });
-            }
-            let mut hello = Vec::new();
-            wake::sleep(&self.listener, WAIT_SLICE, |event| match event {
-                wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
-                wake::READY..wake::CREATED => missing.retain(|p| *p != event - wake::READY),
-                _ => {}
-            })?;
-            for peer in hello {
-                self.connect()?;
-                let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
-                wake::notify(notifier, wake::WELCOME + peer)?;
-            }
-        }
-        // Peers that became ready have created nothing since, so this maps all of them.
-        self.connect()
+        self.let_in(missing, HANDSHAKE, stop)
+    }
+
+    fn mentor_waits(&self) -> bool {
+        self.mentor_waits
+    }
+
+    fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        self.let_in(vec![MENTOR_PEER], Duration::MAX, stop)
+    }
+
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
+        let publisher =
+            self.orders.as_ref().ok_or_else(|| LinkError::Unexpected("orders in lockstep".into()))?;
+        publisher.send_copy(*orders).map_err(failed("sending orders"))?;
+        wake::notify(&self.actors, wake::DATA)
     }
 
     fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
@@ -160,7 +245,7 @@ impl LearnerLink for IceoryxLearner {
         let sizes = &self.services.sizes;
         *sample.user_header_mut() = WeightsHeader::new(self.services.run, version, &sizes.network, weights);
         let found = sample.send().map_err(failed("sending weights"))?;
-        delivered("a set of weights", found, sizes.actors)
+        if self.orders.is_some() { Ok(()) } else { delivered("a set of weights", found, sizes.actors) }
     }
 
     fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
@@ -170,7 +255,7 @@ impl LearnerLink for IceoryxLearner {
     }
 
     fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
-        wake::wait(&self.listener, timeout, || self.try_recv(batches))
+        self.wait(timeout, |link| link.try_recv(batches))
     }
 
     fn observe(
@@ -180,6 +265,11 @@ impl LearnerLink for IceoryxLearner {
         into: &mut Observed,
     ) -> Result<(), LinkError> {
         const WHAT: &str = "a batch for its history";
+        const REQUEST: &str = "a request to mentor/observe";
+        const LOST: LinkError = LinkError::Receivers { what: REQUEST, found: 0, expected: 1 };
+        if self.mentor_waits {
+            return Err(LOST);
+        }
         let mut sending = self
             .observe
             .loan_slice_uninit(payload.len())
@@ -187,16 +277,29 @@ impl LearnerLink for IceoryxLearner {
             .write_from_slice(payload);
         *sending.user_header_mut() = *request;
         let pending = sending.send().map_err(failed("sending a request to mentor/observe"))?;
-        delivered("a request to mentor/observe", pending.number_of_server_connections(), 1)?;
+        delivered(REQUEST, pending.number_of_server_connections(), 1)?;
         wake::notify(&self.mentor, wake::DATA)?;
-        let answer = wake::wait(&self.listener, OBSERVE_DEADLINE, || {
-            pending.receive().map_err(failed("receiving from mentor/observe"))
-        })?;
-        let answer = answer.ok_or_else(|| LinkError::Deadline {
-            peer: "mentor-server".into(),
-            what: WHAT,
-            waited_ms: OBSERVE_DEADLINE.as_millis(),
-        })?;
+        let start = Instant::now();
+        let answer = loop {
+            let answer = self.wait(WAIT_SLICE, |link| {
+                // Asked first: an answer may come, and end the connection, in between.
+                let connected = pending.is_connected() && !link.mentor_waits;
+                let answer = pending.receive().map_err(failed("receiving from mentor/observe"))?;
+                if answer.is_none() && !connected { Err(LOST) } else { Ok(answer) }
+            })?;
+            if let Some(answer) = answer {
+                break answer;
+            }
+            // In free mode it is the supervisor that notices when it hangs, and replaces it.
+            if self.orders.is_none() && start.elapsed() > OBSERVE_DEADLINE {
+                return Err(LinkError::Deadline {
+                    peer: "mentor-server".into(),
+                    what: WHAT,
+                    waited_ms: OBSERVE_DEADLINE.as_millis(),
+                });
+            }
+            pulse::step();
+        };
         let header = *answer.user_header();
         if header.status != crate::query::OK {
             return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });

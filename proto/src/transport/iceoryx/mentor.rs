@@ -5,7 +5,8 @@ use super::{Domain, Ipc, failed, give_up_in_time, wake};
 use crate::limits::{HANDSHAKE, HELLO_INTERVAL};
 use crate::observe::{ObserveAnswer, ObserveRequest};
 use crate::plan::RunPlan;
-use crate::query::{MALFORMED, QueryAnswer, QueryRequest};
+use crate::pulse;
+use crate::query::{MALFORMED, NOT_READY, QueryAnswer, QueryRequest};
 use crate::transport::{LinkError, MentorHandler, MentorLink, Stop};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -21,6 +22,8 @@ pub struct IceoryxMentor {
     listener: Listener<Ipc>,
     learner: Notifier<Ipc>,
     clients: Notifier<Ipc>,
+    /// Whether the learner has let this process in.
+    welcome: bool,
     /// Private copies of a request's payload (a peer could still write to what it has sent) and of an answer's.
     words: Vec<u32>,
     state: Vec<f32>,
@@ -54,6 +57,7 @@ impl IceoryxMentor {
             listener: wake::listener(&services.wake_mentor)?,
             learner: wake::notifier(&services.wake_learner)?,
             clients: wake::notifier(&services.wake_clients)?,
+            welcome: false,
             words: Vec::new(),
             state: Vec::new(),
             answer: Vec::new(),
@@ -69,7 +73,10 @@ impl IceoryxMentor {
             self.words.clear();
             self.words.extend_from_slice(request.payload());
             self.answer.clear();
-            let answer = if header.run == self.services.run {
+            let answer = if !self.welcome {
+                // Of a former mentor-server's time: this one has no history yet, and the learner does not know of it.
+                ObserveAnswer { status: NOT_READY, ..ObserveAnswer::default() }
+            } else if header.run == self.services.run {
                 handler.observe(&header, &self.words, &mut self.answer)
             } else {
                 ObserveAnswer { status: MALFORMED, ..ObserveAnswer::default() }
@@ -113,23 +120,26 @@ impl IceoryxMentor {
 impl MentorLink for IceoryxMentor {
     fn hello(&mut self, handler: &mut dyn MentorHandler, stop: Stop<'_>) -> Result<(), LinkError> {
         let start = Instant::now();
-        let mut welcome = false;
-        while !welcome {
+        while !self.welcome {
             if stop() {
                 return Err(LinkError::Interrupted("the learner"));
             }
-            if start.elapsed() > HANDSHAKE {
+            // In free mode the learner may be busy for long.
+            if self.services.orders.is_none() && start.elapsed() > HANDSHAKE {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
                     waited_ms: HANDSHAKE.as_millis(),
                 });
             }
+            pulse::step();
             wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
-            wake::sleep(&self.listener, HELLO_INTERVAL, |event| {
-                welcome |= event == wake::WELCOME + MENTOR_PEER;
-            })?;
+            // Before the welcome that may have come: what was asked until then was meant for another.
             self.answer_all(handler)?;
+            let welcome = &mut self.welcome;
+            wake::sleep(&self.listener, HELLO_INTERVAL, |event| {
+                *welcome |= event == wake::WELCOME + MENTOR_PEER;
+            })?;
         }
         wake::notify(&self.learner, wake::READY + MENTOR_PEER)
     }

@@ -4,11 +4,13 @@
 use super::{Domain, Ipc, failed, wake};
 use crate::annotation::record_words;
 use crate::batch::{self, BatchHeader};
+use crate::config::Mode;
 use crate::limits::{
     MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
 };
 use crate::mentor::transition_words;
 use crate::observe::{ObserveAnswer, ObserveRequest};
+use crate::orders::Orders;
 use crate::plan::RunPlan;
 use crate::query::{QueryAnswer, QueryRequest};
 use crate::reply::ReplyHeader;
@@ -43,6 +45,8 @@ pub struct Sizes {
     pub weights: usize,
     /// Transitions of the demonstration; 0 without a mentor.
     pub mentor_len: usize,
+    /// In free mode, batches of an actor that may be on their way.
+    pub window: Option<usize>,
 }
 
 impl Sizes {
@@ -58,11 +62,15 @@ impl Sizes {
             batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
             weights,
             mentor_len: plan.mentor_len(),
+            window: (plan.config.run.mode == Mode::Free).then(|| plan.window() as usize),
         }
     }
 
     /// Batches of an actor that may wait for the learner.
     pub fn transitions_buffer(&self) -> usize {
+        if let Some(window) = self.window {
+            return window;
+        }
         (TRANSITIONS_BYTES / (4 * self.batch_words)).clamp(2, TRANSITIONS_BUFFER)
     }
 
@@ -104,6 +112,7 @@ impl Sizes {
 pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], BatchHeader>;
 pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], WeightsHeader>;
 pub(super) type Ticks = publish_subscribe::PortFactory<Ipc, Tick, ()>;
+pub(super) type OrdersOf = publish_subscribe::PortFactory<Ipc, Orders, ()>;
 pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], ReplyHeader>;
 pub(super) type Observe = request_response::PortFactory<Ipc, [u32], ObserveRequest, [u32], ObserveAnswer>;
 pub(super) type Query = request_response::PortFactory<Ipc, [f32], QueryRequest, [u32], QueryAnswer>;
@@ -117,6 +126,8 @@ pub struct Services {
     pub(super) transitions: Transitions,
     pub(super) weights: Weights,
     pub(super) ticks: Ticks,
+    /// In free mode.
+    pub(super) orders: Option<OrdersOf>,
     pub(super) replies: Replies,
     pub(super) observe: Observe,
     pub(super) query: Query,
@@ -178,9 +189,9 @@ impl Services {
         Self::build(domain, plan, false)
     }
 
-    /// Removes what dead processes of the run left, so that others can take their places.
-    pub fn reap(&self) {
-        self.node.try_cleanup_dead_nodes();
+    /// Removes what dead processes of the run left, so that others can take their places. False: something is left.
+    pub fn reap(&self) -> bool {
+        self.node.try_cleanup_dead_nodes().failed_cleanups == 0
     }
 
     fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
@@ -235,6 +246,23 @@ impl Services {
             create,
             "ticks"
         )?;
+        let orders = if sizes.window.is_some() {
+            Some(finish!(
+                node.service_builder(&name("orders")?)
+                    .publish_subscribe::<Orders>()
+                    .max_publishers(1)
+                    .max_subscribers(sizes.actors * 2)
+                    .max_nodes(nodes)
+                    .subscriber_max_buffer_size(1)
+                    .subscriber_max_borrowed_samples(1)
+                    .history_size(1)
+                    .enable_safe_overflow(true),
+                create,
+                "orders"
+            )?)
+        } else {
+            None
+        };
         let replies = finish!(
             node.service_builder(&name("replies")?)
                 .publish_subscribe::<[u8]>()
@@ -305,6 +333,7 @@ impl Services {
             transitions,
             weights,
             ticks,
+            orders,
             replies,
             observe,
             query,

@@ -4,6 +4,7 @@
 //! kept by the listener, so none is lost. All notifications are drained at each wake-up.
 
 use super::{Ipc, failed};
+use crate::limits::WAIT_SLICE;
 use crate::transport::LinkError;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -31,6 +32,10 @@ pub(super) const LAST: usize = 254;
 
 /// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come.
 ///
+/// A notification whose wake-up is lost is found when the time is over: iceoryx2 wakes a listener up by a datagram, but not
+/// one that it believes to be awake, and two notifiers and a listener at once can leave it with no datagram and in that
+/// belief (`iceoryx2-cal` 0.10, `event/common.rs`). So nobody should sleep for longer than [`WAIT_SLICE`] at a time.
+///
 /// By `select` and then without waiting: the listener's own wait with a timeout makes its socket blocking and back, and sets
 /// the timeout, by five system calls more.
 pub(super) fn sleep(
@@ -41,7 +46,6 @@ pub(super) fn sleep(
     let sources = FileDescriptorSet::new();
     let _guard = sources.add(listener).map_err(failed("waiting for an event"))?;
     match sources.timed_wait(timeout, FileEvent::Read, |_| {}) {
-        Ok(0) => return Ok(()),
         // A signal for this process: its handler has set a flag that the caller looks at.
         Err(FileDescriptorSetWaitError::Interrupt) => return Ok(()),
         Ok(_) => {}
@@ -66,7 +70,7 @@ pub(super) fn wait<T>(
         if left.is_zero() {
             return Ok(None);
         }
-        sleep(listener, left, |_| {})?;
+        sleep(listener, left.min(WAIT_SLICE), |_| {})?;
     }
 }
 

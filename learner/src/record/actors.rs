@@ -1,0 +1,96 @@
+//! `actors.csv`: a line for each incarnation of an actor in free mode, with what was counted of it.
+
+use super::error::{RecordError, io};
+use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Name of the file in a run directory.
+pub const ACTORS_FILE: &str = "actors.csv";
+const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max";
+
+/// What has been counted of one incarnation.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActorRow {
+    /// Index of the actor.
+    pub actor: u32,
+    /// Its incarnation.
+    pub incarnation: u32,
+    /// Batches taken in.
+    pub batches: u64,
+    /// Their transitions that were counted and stored; fewer than the batches have only at the end of the run.
+    pub env_steps: u64,
+    /// How old the weights were that the batches were collected with, when they were taken in.
+    pub staleness: Staleness,
+}
+
+/// Ages of weights, in publications: 0 is the newest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Staleness {
+    batches: u64,
+    sum: u64,
+    max: u64,
+}
+
+impl Staleness {
+    /// Adds a batch.
+    pub fn add(&mut self, age: u64) {
+        self.batches += 1;
+        self.sum = self.sum.saturating_add(age);
+        self.max = self.max.max(age);
+    }
+
+    /// Mean over the batches; NaN without any.
+    pub fn mean(&self) -> f64 {
+        self.sum as f64 / self.batches as f64
+    }
+
+    /// The oldest; NaN without any batch.
+    pub fn max(&self) -> f64 {
+        if self.batches > 0 { self.max as f64 } else { f64::NAN }
+    }
+}
+
+/// Writes `actors.csv` into the run directory `dir`. A reader sees the old file or the new one, never a part.
+pub fn write_actors(dir: &Path, rows: &[ActorRow]) -> Result<(), RecordError> {
+    let mut text = format!("{COLUMNS}\n");
+    for ActorRow { actor, incarnation, batches, env_steps, staleness } in rows {
+        let _ = write!(text, "{actor},{incarnation},{batches},{env_steps},");
+        if *batches > 0 {
+            let _ = write!(text, "{:.3},{}", staleness.mean(), staleness.max);
+        } else {
+            text.push(',');
+        }
+        text.push('\n');
+    }
+    let path = dir.join(ACTORS_FILE);
+    let temporary = dir.join(format!(".{ACTORS_FILE}.{}.tmp", std::process::id()));
+    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, &path));
+    if written.is_err() {
+        // The first error is the one worth reporting, and a leftover temporary file harms nothing.
+        let _ = std::fs::remove_file(&temporary);
+    }
+    written.map_err(io("write", &path))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_row_says_what_was_counted() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut row =
+            ActorRow { actor: 1, incarnation: 65_536, batches: 2, env_steps: 64, ..ActorRow::default() };
+        row.staleness.add(1);
+        row.staleness.add(4);
+        write_actors(dir.path(), &[ActorRow::default(), row]).unwrap();
+        assert_eq!(
+            std::fs::read_to_string(dir.path().join(ACTORS_FILE)).unwrap(),
+            "actor,incarnation,batches,env_steps,staleness_mean,staleness_max\n0,0,0,0,,\n1,65536,2,64,2.500,4\n"
+        );
+        let none = Staleness::default();
+        assert!(none.mean().is_nan() && none.max().is_nan());
+    }
+}

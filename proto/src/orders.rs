@@ -1,0 +1,123 @@
+//! The learner's standing orders to the actors of a run in free mode: how many batches each may send, and what else is
+//! wanted of it. Only the newest orders count, so an actor that comes late, or was replaced, misses nothing.
+
+use crate::limits::{MAX_ACTORS, MAX_ROLLOUT};
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+/// What one actor may do.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("trestle.Share.v1")]
+pub struct Share {
+    /// Batches of this incarnation that the learner has counted: what is acknowledged.
+    pub counted: u64,
+    /// Batches that this incarnation may have sent in all.
+    pub granted: u64,
+    /// The incarnation that the other numbers are meant for; they mean nothing to another one.
+    pub incarnation: u32,
+    /// 0.
+    pub reserved: u32,
+}
+
+/// Orders as they travel, the same to every actor; plain numbers only, so that no bit pattern is invalid.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[type_name("trestle.Orders.v1")]
+pub struct Orders {
+    /// Identity of the run.
+    pub run: u64,
+    /// Environment steps that the learner has counted, over all actors: where the exploration schedule stands.
+    pub env_steps: u64,
+    /// Number of the evaluation that actor 0 is to play, counted from 1; 0 for none. One that it has answered is not
+    /// played again.
+    pub evaluation: u64,
+    /// Greedy episodes of that evaluation.
+    pub episodes: u32,
+    /// 1: every actor leaves.
+    pub stop: u32,
+    /// Each actor's share, by its index.
+    pub shares: [Share; MAX_ACTORS as usize],
+}
+
+impl Default for Orders {
+    fn default() -> Self {
+        Self::zeroed()
+    }
+}
+
+/// Orders that cannot be right.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum OrdersError {
+    /// Another run's.
+    #[error("orders are of run {found:016x}; this is run {expected:016x}")]
+    Run {
+        /// Their run.
+        found: u64,
+        /// This run.
+        expected: u64,
+    },
+    /// Too many episodes, or none.
+    #[error("evaluation {evaluation} is to have {episodes} episodes; accepted: 1 to {MAX_ROLLOUT}")]
+    Episodes {
+        /// Number of the evaluation.
+        evaluation: u64,
+        /// Its episodes.
+        episodes: u32,
+    },
+    /// An unknown order.
+    #[error("orders say stop = {0}; accepted: 0 or 1")]
+    Stop(u32),
+}
+
+impl Orders {
+    /// Checks what came from a peer.
+    pub fn validate(&self, run: u64) -> Result<(), OrdersError> {
+        if self.run != run {
+            return Err(OrdersError::Run { found: self.run, expected: run });
+        }
+        if self.stop > 1 {
+            return Err(OrdersError::Stop(self.stop));
+        }
+        if self.evaluation > 0 && !(1..=MAX_ROLLOUT).contains(&self.episodes) {
+            return Err(OrdersError::Episodes { evaluation: self.evaluation, episodes: self.episodes });
+        }
+        Ok(())
+    }
+
+    /// Batches that incarnation `incarnation` of `actor` may have sent in all.
+    pub fn granted(&self, actor: u32, incarnation: u32) -> u64 {
+        match self.shares.get(actor as usize) {
+            Some(share) if share.incarnation == incarnation => share.granted,
+            _ => 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_fault_is_refused() {
+        let good = Orders { run: 5, evaluation: 2, episodes: 10, ..Orders::default() };
+        assert_eq!(good.validate(5), Ok(()));
+        assert!(matches!(good.validate(6), Err(OrdersError::Run { .. })));
+        assert_eq!(Orders { stop: 2, ..good }.validate(5), Err(OrdersError::Stop(2)));
+        for episodes in [0, MAX_ROLLOUT + 1] {
+            assert!(matches!(Orders { episodes, ..good }.validate(5), Err(OrdersError::Episodes { .. })));
+        }
+        assert_eq!(Orders { evaluation: 0, episodes: 0, ..good }.validate(5), Ok(()));
+    }
+
+    #[test]
+    fn a_grant_is_for_one_incarnation() {
+        let mut orders = Orders::default();
+        orders.shares[3] = Share { incarnation: 2, counted: 4, granted: 6, ..Share::default() };
+        assert_eq!(
+            [(3, 2), (3, 1), (3, 3), (2, 2), (64, 2)].map(|(a, i)| orders.granted(a, i)),
+            [6, 0, 0, 0, 0]
+        );
+        assert_eq!(orders.granted(2, 0), 0, "nothing is granted before an actor has announced itself");
+    }
+}
