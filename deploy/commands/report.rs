@@ -3,11 +3,10 @@
 use crate::cli::Report as Args;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use trestle_actor::env::maze::{Map, cells, map_of};
+use trestle_actor::env::Ground;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::EnvKind;
 use trestle_proto::logging;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
@@ -18,6 +17,8 @@ use trestle_report::read::{Run, read_runs};
 use trestle_report::summary::{Group, tasks};
 use trestle_report::write::{Report, write};
 
+/// Squares along the side of a cell, where states are points.
+const FINE: usize = 4;
 /// Mazes that are drawn, at most: of the first tasks, one for each arm.
 const MAX_MAZES: usize = 24;
 
@@ -28,9 +29,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let mut mazes = Vec::new();
     for task in tasks(&runs) {
         for group in &task.groups {
-            let Some(run) = middle(group).filter(|run| run.config.env.kind == EnvKind::Maze) else {
-                continue;
-            };
+            let Some(run) = middle(group) else { continue };
             if mazes.len() == MAX_MAZES {
                 notes.push(format!("no maze of {} on {}: {MAX_MAZES} are drawn", group.arm, task.name));
                 continue;
@@ -70,7 +69,8 @@ fn maze(run: &Run) -> Result<Maze> {
         _ => Some(demo_file::read(&dir.demonstration())?.transitions()),
     };
     let agent = checkpoint::load(&path, &plan, demonstration.clone())?.agent;
-    let map = map_of(&plan.config.env)?;
+    let ground = Ground::of(&plan.config.env)?;
+    let map = ground.map();
     let mut mentor = Vec::new();
     if let (Some(transitions), Some(rows)) = (&demonstration, agent.mentor_rows()) {
         for (j, row) in rows.enumerate() {
@@ -79,51 +79,60 @@ fn maze(run: &Run) -> Result<Maze> {
                 Some(_) => Step::Bridged,
                 None => Step::Infeasible,
             };
-            let [from, to] = [row.state, transitions.next_state(j)].map(cells);
+            let [from, to] = [row.state, transitions.next_state(j)].map(|state| ground.places(state));
             mentor.extend(from.first().zip(to.first()).map(|(&from, &to)| (from, to, step)));
         }
     }
     let replay = agent.replay();
-    let mut visits = vec![0.0; map.columns() * map.rows()];
+    let fine = match ground {
+        Ground::Maze(_) => 1,
+        Ground::PointMaze(_) => FINE,
+    };
+    let [columns, rows] = [map.columns() * fine, map.rows() * fine];
+    let mut visits = vec![0.0; columns * rows];
     for index in replay.first_index()..replay.next_index() {
-        for cell in cells(replay.get(replay.slot(index)).transition.obs) {
-            if map.is_free(cell) {
-                visits[cell[1] * map.columns() + cell[0]] += 1.0;
+        for place in ground.places(replay.get(replay.slot(index)).transition.obs) {
+            let [column, row] = place.map(|at| ((at + 0.5) * fine as f64).floor());
+            if (0.0..columns as f64).contains(&column) && (0.0..rows as f64).contains(&row) {
+                visits[row as usize * columns + column as usize] += 1.0;
             }
         }
     }
     Ok(Maze {
         title: format!("{}, {}, seed {}", run.arm, run.task, run.config.run.seed),
         size: [map.columns(), map.rows()],
-        walls: all_cells(&map).map(|cell| !map.is_free(cell)).collect(),
-        ends: [map.start(), map.goal()],
+        walls: squares(map.columns(), map.rows()).map(|cell| !map.is_free(cell)).collect(),
+        ends: [map.start(), map.goal()].map(|cell| ground.place(cell)),
         mentor,
-        path: greedy_path(&plan, tick, agent.weights())?,
+        path: ground.places(&greedy_path(&plan, tick, agent.weights())?),
+        fine,
         visits,
-        values: values(&plan, &map, agent.weights())?,
+        values: values(&plan, &ground, fine, agent.weights())?,
     })
 }
 
-fn all_cells(map: &Map) -> impl Iterator<Item = [usize; 2]> + use<> {
-    let (columns, rows) = (map.columns(), map.rows());
+fn squares(columns: usize, rows: usize) -> impl Iterator<Item = [usize; 2]> {
     (0..rows).flat_map(move |row| (0..columns).map(move |column| [column, row]))
 }
 
-/// The cells of a greedy episode.
-fn greedy_path(plan: &RunPlan, tick: u64, weights: &[f32]) -> Result<Vec<[usize; 2]>> {
+/// The states of a greedy episode.
+fn greedy_path(plan: &RunPlan, tick: u64, weights: &[f32]) -> Result<Vec<f32>> {
     let mut worker = Worker::new(plan, 0)?;
     // As `trestle eval`: this evaluation's stream of resets is none of the training's.
     let tick =
         Tick { run: plan.run, tick, evaluation: u64::MAX, kind: EVALUATE, amount: 1, ..Tick::default() };
     let evaluation = worker.evaluate(weights, &tick)?;
-    Ok(evaluation.episodes.first().map(|episode| cells(&episode.path)).unwrap_or_default())
+    Ok(evaluation.episodes.into_iter().next().map(|episode| episode.path).unwrap_or_default())
 }
 
-/// The largest Q-value of each cell.
-fn values(plan: &RunPlan, map: &Map, weights: &[f32]) -> Result<Vec<f64>> {
+/// The largest Q-value in the middle of each square, at rest.
+fn values(plan: &RunPlan, ground: &Ground, fine: usize, weights: &[f32]) -> Result<Vec<f64>> {
     let (layout, encoding) = trestle_qnet::network_of(plan)?;
-    let states: Vec<f32> = all_cells(map).flatten().map(|x| x as f32).collect();
-    let rows = states.len() / 2;
+    let map = ground.map();
+    let middle = |square: [usize; 2]| square.map(|at| (at as f64 + 0.5) / fine as f64 - 0.5);
+    let all = squares(map.columns() * fine, map.rows() * fine);
+    let states: Vec<f32> = all.flat_map(|square| ground.state(middle(square))).collect();
+    let rows = map.columns() * map.rows() * fine * fine;
     let mut x = vec![0.0; rows * layout.input()];
     encoding.encode_batch(&states, rows, &mut x);
     let mut q = vec![0.0; rows * layout.output()];

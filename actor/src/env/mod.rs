@@ -5,6 +5,7 @@
 //! the middle of an episode.
 
 mod error;
+mod ground;
 pub mod maze;
 pub mod point_maze;
 
@@ -12,6 +13,7 @@ pub mod point_maze;
 mod conformance;
 
 pub use error::EnvError;
+pub use ground::Ground;
 
 use trestle_proto::config::{self, EnvKind};
 use trestle_proto::rng::Stream;

@@ -1,4 +1,4 @@
-//! Pictures of a maze: the mentor's path and what the observer has found out about each of its steps, the path that it
+//! Pictures of a maze, of cells or with a ball in it: the mentor's path and what the observer has found out about each of its steps, the path that it
 //! has learnt, where it has been, and what it thinks of each cell.
 
 use crate::plot::{Area, GRID, INK, PAPER, PlotError, svg, text};
@@ -30,8 +30,8 @@ impl Step {
     }
 }
 
-/// A cell: column and row, from the top left.
-pub type Cell = [usize; 2];
+/// Column and row, from the top left; whole numbers in the middle of a cell.
+pub type Place = [f64; 2];
 
 /// One run in its maze.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,14 +43,16 @@ pub struct Maze {
     /// Whether each cell is a wall, row by row.
     pub walls: Vec<bool>,
     /// Start and goal.
-    pub ends: [Cell; 2],
+    pub ends: [Place; 2],
     /// The mentor's steps.
-    pub mentor: Vec<(Cell, Cell, Step)>,
+    pub mentor: Vec<(Place, Place, Step)>,
     /// The path of a greedy episode.
-    pub path: Vec<Cell>,
-    /// How often each cell is the state of a stored transition, row by row; empty if unknown.
+    pub path: Vec<Place>,
+    /// Squares along the side of a cell that `visits` and `values` are given for, 1 to 4.
+    pub fine: usize,
+    /// How often the state of a stored transition lies in each square, row by row; empty if unknown.
     pub visits: Vec<f64>,
-    /// The largest Q-value in each cell, row by row; empty if unknown.
+    /// The largest Q-value in each square, row by row; empty if unknown.
     pub values: Vec<f64>,
 }
 
@@ -96,7 +98,7 @@ impl Maze {
         })
     }
 
-    /// Visits of each cell, if they are known: logarithmic.
+    /// Visits of each square, if they are known: logarithmic.
     ///
     /// # Errors
     /// Those of the drawing library.
@@ -115,22 +117,38 @@ impl Maze {
         })
     }
 
-    /// The value max_a Q(s, a) of each cell, if it is known.
+    /// The value max_a Q(s, a) of each square, if it is known.
     ///
     /// # Errors
     /// Those of the drawing library.
     pub fn values_svg(&self) -> Option<Result<String, PlotError>> {
-        let free = || self.values.iter().zip(&self.walls).filter(|(_, wall)| !**wall).map(|(v, _)| *v);
+        let free = || self.values.iter().enumerate().filter(|(at, _)| !self.in_wall(*at)).map(|(_, v)| *v);
         let (low, high) = (free().fold(f64::NAN, f64::min), free().fold(f64::NAN, f64::max));
         (high > low).then(|| {
             let share = |value: f64| (value - low) / (high - low);
             self.heat(
-                "value: the largest Q of each cell",
+                if self.fine > 1 {
+                    "value: the largest Q at rest"
+                } else {
+                    "value: the largest Q of each cell"
+                },
                 &self.values,
                 share,
                 [low, (low + high) / 2.0, high],
             )
         })
+    }
+
+    /// Column and row of square `index`.
+    fn square(&self, index: usize) -> [usize; 2] {
+        let columns = self.size[0] * self.fine;
+        [index % columns, index / columns]
+    }
+
+    /// Whether square `index` is part of a wall.
+    fn in_wall(&self, index: usize) -> bool {
+        let [column, row] = self.square(index).map(|at| at / self.fine);
+        self.walls[row * self.size[0] + column]
     }
 
     /// A map of `numbers`, coloured by their `share` (NaN: left blank); `marks` are written at its scale.
@@ -144,8 +162,8 @@ impl Maze {
         self.svg(what, |picture| {
             for (index, &number) in numbers.iter().enumerate() {
                 let share = share(number);
-                if share.is_finite() && !self.walls[index] {
-                    picture.cell([index % self.size[0], index / self.size[0]], shade(share))?;
+                if share.is_finite() && !self.in_wall(index) {
+                    picture.square(self.square(index), self.fine, shade(share))?;
                 }
             }
             picture.walls(WALL)?;
@@ -160,7 +178,7 @@ impl Maze {
         draw: impl FnOnce(&Picture<'_, '_>) -> Result<(), PlotError>,
     ) -> Result<String, PlotError> {
         // Some five hundred pixels for the longer side.
-        let side = (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 36) as i32;
+        let side = (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 48) as i32 / 4 * 4;
         let [width, height] = self.size.map(|n| n as i32 * side);
         let size = [LEFT + width + LEGEND, (TOP + height + 16).max(TOP + 200)];
         svg(size.map(|n| n as u32), |area| {
@@ -197,32 +215,30 @@ impl Picture<'_, '_> {
         self.area.draw(&Circle::new(at, radius, style)).map_err(PlotError::draw)
     }
 
-    fn corner(&self, [column, row]: Cell) -> (i32, i32) {
-        (LEFT + column as i32 * self.side, TOP + row as i32 * self.side)
+    fn point(&self, place: Place) -> (i32, i32) {
+        let [x, y] = place.map(|at| ((at + 0.5) * f64::from(self.side)).round() as i32);
+        (LEFT + x, TOP + y)
     }
 
-    fn centre(&self, cell: Cell) -> (i32, i32) {
-        let (x, y) = self.corner(cell);
-        (x + self.side / 2, y + self.side / 2)
-    }
-
-    fn cell(&self, cell: Cell, color: RGBColor) -> Result<(), PlotError> {
-        let (x, y) = self.corner(cell);
-        let corners = [(x, y), (x + self.side, y + self.side)];
+    /// Fills a square, of which `fine` make up a cell's side.
+    fn square(&self, [column, row]: [usize; 2], fine: usize, color: RGBColor) -> Result<(), PlotError> {
+        let side = self.side / fine as i32;
+        let (x, y) = (LEFT + column as i32 * side, TOP + row as i32 * side);
+        let corners = [(x, y), (x + side, y + side)];
         self.area.draw(&Rectangle::new(corners, color.filled())).map_err(PlotError::draw)
     }
 
     fn walls(&self, color: RGBColor) -> Result<(), PlotError> {
         let columns = self.maze.size[0];
         let walls = self.maze.walls.iter().enumerate().filter(|(_, wall)| **wall);
-        walls.map(|(at, _)| [at % columns, at / columns]).try_for_each(|cell| self.cell(cell, color))
+        walls.map(|(at, _)| [at % columns, at / columns]).try_for_each(|cell| self.square(cell, 1, color))
     }
 
-    /// The mentor's steps, a little beside the middle of their cells, so that the learnt path does not hide them.
+    /// The mentor's steps, in cells a little beside their middles, so that the learnt path does not hide them.
     fn mentor(&self) -> Result<(), PlotError> {
-        let aside = self.side / 5;
+        let aside = if self.maze.fine > 1 { 0 } else { self.side / 5 };
         for &(from, to, step) in &self.maze.mentor {
-            let ends = [from, to].map(|cell| self.centre(cell)).map(|(x, y)| (x - aside, y - aside));
+            let ends = [from, to].map(|place| self.point(place)).map(|(x, y)| (x - aside, y - aside));
             self.path(ends.to_vec(), step.color().stroke_width(3))?;
             self.dot(ends[0], 2, step.color().filled())?;
         }
@@ -230,15 +246,16 @@ impl Picture<'_, '_> {
     }
 
     fn learnt(&self) -> Result<(), PlotError> {
-        let points: Vec<_> = self.maze.path.iter().map(|&cell| self.centre(cell)).collect();
+        let points: Vec<_> = self.maze.path.iter().map(|&place| self.point(place)).collect();
         self.path(points, LEARNT.stroke_width(2))
     }
 
     fn ends(&self) -> Result<(), PlotError> {
-        for (cell, letter) in self.maze.ends.into_iter().zip(["S", "G"]) {
-            let (x, y) = self.centre(cell);
-            self.dot((x, y), (self.side / 2).max(6), PAPER.filled())?;
-            self.dot((x, y), (self.side / 2).max(6), INK.stroke_width(1))?;
+        for (place, letter) in self.maze.ends.into_iter().zip(["S", "G"]) {
+            let (x, y) = self.point(place);
+            let radius = (self.side / 2).clamp(6, 12);
+            self.dot((x, y), radius, PAPER.filled())?;
+            self.dot((x, y), radius, INK.stroke_width(1))?;
             let style = text(self.side.clamp(10, 14) as u32, HPos::Center, VPos::Center);
             self.area.draw_text(letter, &style, (x, y)).map_err(PlotError::draw)?;
         }
@@ -296,9 +313,10 @@ mod tests {
             title: "maze".into(),
             size: [3, 2],
             walls: vec![false, true, false, false, false, false],
-            ends: [[0, 0], [2, 0]],
-            mentor: vec![([0, 0], [0, 1], Step::Feasible), ([0, 1], [1, 1], Step::Bridged)],
-            path: vec![[0, 0], [0, 1], [1, 1], [2, 0]],
+            ends: [[0.0, 0.0], [2.0, 0.0]],
+            mentor: vec![([0.0, 0.0], [0.0, 1.0], Step::Feasible), ([0.0, 1.0], [1.0, 1.0], Step::Bridged)],
+            path: vec![[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0]],
+            fine: 1,
             visits: vec![5.0, 0.0, 0.0, 2.0, 1.0, 1.0],
             values: vec![-1.0, 99.0, 0.5, -0.5, 0.0, 0.2],
         }
@@ -314,6 +332,11 @@ mod tests {
         // The wall's value is no part of the scale.
         let values = maze.values_svg().unwrap().unwrap();
         assert!(values.contains("0.50") && !values.contains("99.00"));
+        // Four squares a cell: those of the second one are a wall's.
+        let values =
+            (0..24).map(|at| if [2, 3, 8, 9].contains(&at) { 99.0 } else { f64::from(at) }).collect();
+        let fine = Maze { fine: 2, values, ..maze.clone() }.values_svg().unwrap().unwrap();
+        assert!(fine.contains(">23") && !fine.contains("99"), "{fine}");
         let unknown = Maze { visits: Vec::new(), values: Vec::new(), ..maze };
         assert!(unknown.visits_svg().is_none() && unknown.values_svg().is_none());
     }

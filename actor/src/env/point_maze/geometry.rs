@@ -36,7 +36,11 @@ impl Geometry {
 
     /// Middle of the cell [column, row], which may lie outside the map.
     pub fn centre(&self, cell: [isize; 2]) -> Vector {
-        let [column, row] = cell.map(|coordinate| coordinate as f64);
+        self.point(cell.map(|coordinate| coordinate as f64))
+    }
+
+    /// The point at [column, row], whole numbers in the middle of a cell.
+    pub fn point(&self, [column, row]: Vector) -> Vector {
         match self.layout {
             PointLayout::D4rl => [row - 0.2, column - 0.2],
             PointLayout::Gymnasium => {
