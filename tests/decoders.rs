@@ -1,5 +1,5 @@
 //! Whatever reads bytes that others wrote, each as a function of arbitrary bytes that must neither panic nor let anything
-//! unsound through. Driven by `hostile.rs`.
+//! unsound through. Driven by `hostile.rs`, and by libFuzzer in `fuzz/`.
 
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
@@ -8,6 +8,7 @@ use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::replay::{Bounds, Replay, Span};
 use trestle_mentor_server::demo_file;
+use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::{Batch, BatchHeader};
@@ -15,6 +16,7 @@ use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::{ObserveAnswer, Observed};
+use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
 use trestle_proto::tick::{STOP, Tick};
@@ -24,12 +26,13 @@ use trestle_proto::weights::WeightsHeader;
 pub(crate) type Decoder = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub(crate) const ALL: [Decoder; 7] = [
+pub(crate) const ALL: [Decoder; 8] = [
     ("messages", messages),
     ("frames", frames),
     ("map", map),
     ("config", config),
     ("demonstration", demonstration),
+    ("import", import),
     ("replay", replay),
     ("manifest", manifest),
 ];
@@ -65,6 +68,10 @@ pub(crate) fn messages(bytes: &[u8]) {
     if tick.validate(7).is_ok() {
         assert!(tick.run == 7 && (1..=STOP).contains(&tick.kind));
     }
+    let (orders, _) = message::<Orders>(bytes);
+    if orders.validate(7).is_ok() {
+        assert!(orders.run == 7 && orders.stop < 2);
+    }
     let (header, payload) = message::<WeightsHeader>(bytes);
     let mut into = [0.0; 4];
     let payload: Vec<f32> = payload.into_iter().map(f32::from_bits).collect();
@@ -88,7 +95,7 @@ pub(crate) fn messages(bytes: &[u8]) {
 
 /// Frames: as they are, and with the header that makes their bytes the body.
 pub(crate) fn frames(bytes: &[u8]) {
-    let plan = Kind { magic: *b"TRPLAN\0\0", version: 1 };
+    let plan = Kind { magic: *b"TRPLAN\0\0", version: 2 };
     let actor = Kind { magic: *b"TRACTOR\0", version: 1 };
     let _ = RunPlan::decode(bytes);
     let _ = RunPlan::decode(&framed(plan, bytes));
@@ -161,6 +168,17 @@ pub(crate) fn demonstration(bytes: &[u8]) {
     }
 }
 
+/// A file to be imported, whatever its format.
+pub(crate) fn import(bytes: &[u8]) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("data");
+    fs::write(&path, bytes).unwrap();
+    if let Ok(imported) = import::import(&path, &Options::default()) {
+        let demo = imported.demonstration;
+        assert!(demo.n_transitions() > 0 && demo.states().iter().all(|x| x.is_finite()));
+    }
+}
+
 /// The files of a replay: the head, then a segment that begins where bytes 8 to 15 of the head say.
 pub(crate) fn replay(bytes: &[u8]) {
     let mut replay = Replay::new(8, DIM).unwrap();
@@ -211,6 +229,8 @@ pub(crate) fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         replay.push(&batch.transition(0), 1, 2);
     }
     let (span, _) = replay.segments(&[])[0];
+    let header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (3, 2), }             \n";
+    let npy = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header, &[0; 24]].concat();
     let entries = "{\"name\": \"model.safetensors\", \"bytes\": 4, \"crc32c\": 5}";
     let manifest = format!(
         "{{\"format\": {}, \"version\": \"0.1.0\", \"tick\": 3, \"configuration\": \"ab\", \"counters\": \
@@ -230,6 +250,8 @@ pub(crate) fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("config", config::to_toml(&config).into_bytes()),
         ("config", b"base = \"maze-small\"\n[learner]\nhidden = [8, 8]\n".to_vec()),
         ("demonstration", b"trajectory,terminal,x,y\n0,0,1,2\n0,0,2,2\n0,1,3,2\n".to_vec()),
+        ("import", b"x,y\n1,2\n2,2\n3,2\n".to_vec()),
+        ("import", npy),
         ("replay", [replay.head(), replay.segment(span)].concat()),
         ("manifest", manifest.into_bytes()),
     ]

@@ -70,6 +70,8 @@ fn an_import_that_is_refused_leaves_nothing() {
     assert!(!Path::new(&out).exists());
     let kept = place.write("out.csv", "mine");
     import(&golden("one.npy"), &[]).refused(&["out.csv exists", "--overwrite"]);
+    // What is to be imported is no demonstration yet.
+    trestle(&["demo", "inspect", &golden("one.npy")]).refused(&["one.npy", "NPY", "trestle demo import"]);
     assert_eq!(fs::read_to_string(kept).unwrap(), "mine");
 }
 

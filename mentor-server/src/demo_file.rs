@@ -24,11 +24,14 @@ use crate::demonstration::{Demonstration, DemonstrationError};
 use csv::{ReaderBuilder, StringRecord};
 use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::{self, BufReader, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use trestle_proto::limits::MAX_MENTOR_TRANSITIONS;
 
 const FIXED_COLUMNS: [&str; 2] = ["trajectory", "terminal"];
+
+/// What the files begin with that are to be imported.
+const BINARY: [&[u8]; 3] = [b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"ARROW1"];
 
 /// A demonstration's file that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -64,10 +67,15 @@ pub enum DemoFileError {
 /// row, the column, the value and what is accepted.
 pub fn read(path: &Path) -> Result<Demonstration, DemoFileError> {
     let io = |e: &dyn std::fmt::Display| DemoFileError::Io { path: path.into(), message: e.to_string() };
-    let file = File::open(path).map_err(|e| io(&e))?;
-    let mut rows = ReaderBuilder::new().has_headers(false).flexible(true).from_reader(BufReader::new(file));
-    let mut record = StringRecord::new();
+    let mut file = BufReader::new(File::open(path).map_err(|e| io(&e))?);
     let mut source = Source { path, row: 1 };
+    let start = file.fill_buf().map_err(|e| io(&e))?;
+    if BINARY.iter().any(|magic| start.starts_with(magic)) {
+        let accepted = "a demonstration in CSV; `trestle demo import` makes one of it";
+        return Err(source.refuse("the file", "HDF5, NPY or Arrow", accepted));
+    }
+    let mut rows = ReaderBuilder::new().has_headers(false).flexible(true).from_reader(file);
+    let mut record = StringRecord::new();
     if !rows.read_record(&mut record).map_err(|e| io(&e))? {
         return Err(source.refuse("the header", "missing", "trajectory,terminal,<features>"));
     }
