@@ -18,7 +18,7 @@ use crate::demonstration::transitions;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::config::MetricKind;
 use trestle_proto::similarity::Hit;
-use trestle_proto::similarity::tree::Tree;
+use trestle_proto::similarity::tree::{Tree, WIDTH};
 
 /// An observer transition, as inference sees it.
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +67,8 @@ impl Inference {
             MetricKind::Kl => {
                 let pairs: Vec<f32> =
                     (0..order.n_transitions()).flat_map(|j| [ends(j).0, ends(j).1].concat()).collect();
-                let tree = Tree::new(&pairs, 2 * dim);
+                // Small leaves: the largest error of a leaf rules it out, and falls with all of its points alone.
+                let tree = Tree::new(&pairs, 2 * dim, WIDTH);
                 let worst = vec![f32::INFINITY; tree.n_nodes()];
                 Rule::Kl { tree, worst }
             }
@@ -116,14 +117,17 @@ impl Inference {
                         }
                         continue;
                     }
-                    let errors = tree.kl(at, 0, seen.state).into_iter().zip(tree.kl(at, dim, seen.next));
                     let mut has_fallen = false;
-                    for (&j, (first, second)) in tree.numbers(at).iter().zip(errors) {
-                        let (j, error) = (j as usize, first + second);
-                        let before = table.errors()[j];
-                        if improve(table, j, error, seen) {
-                            improved(j, before, error);
-                            has_fallen |= before == worst[at];
+                    for (group, numbers) in tree.numbers(at).chunks(WIDTH).enumerate() {
+                        let errors = tree.kl(at, group, 0, seen.state).into_iter();
+                        let errors = errors.zip(tree.kl(at, group, dim, seen.next));
+                        for (&j, (first, second)) in numbers.iter().zip(errors) {
+                            let (j, error) = (j as usize, first + second);
+                            let before = table.errors()[j];
+                            if improve(table, j, error, seen) {
+                                improved(j, before, error);
+                                has_fallen |= before == worst[at];
+                            }
                         }
                     }
                     if has_fallen {

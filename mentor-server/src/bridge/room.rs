@@ -6,6 +6,7 @@
 
 use super::wanted::Reach;
 use trestle_proto::similarity::Similarity;
+use trestle_proto::similarity::tree::WIDTH;
 
 /// The most room that any mentor state leaves, node by node of the index over them.
 #[derive(Clone, Debug, Default)]
@@ -47,11 +48,13 @@ impl Room {
                 continue;
             }
             let mut largest = 0;
-            for (&m, kl) in tree.numbers(at).iter().zip(tree.kl(at, 0, from)) {
-                let steps = room(m as usize);
-                largest = largest.max(steps);
-                if is_room(steps, kl) {
-                    visit(m as usize, kl);
+            for (group, numbers) in tree.numbers(at).chunks(WIDTH).enumerate() {
+                for (&m, kl) in numbers.iter().zip(tree.kl(at, group, 0, from)) {
+                    let steps = room(m as usize);
+                    largest = largest.max(steps);
+                    if is_room(steps, kl) {
+                        visit(m as usize, kl);
+                    }
                 }
             }
             tree.lower(&mut self.most, at, largest);

@@ -4,7 +4,10 @@
 //! they begin no transition, but a bridge may end there.
 
 use super::metric::kl;
-use super::tree::Tree;
+use super::tree::{Tree, WIDTH};
+
+/// Points of a leaf, at most: with four features and 100,000 states a query takes a quarter less time than with eight.
+const LEAF: usize = 32;
 
 /// A mentor state that is similar to the state asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,13 +25,15 @@ pub struct Similarity {
     e_th: f32,
     whitened: Vec<f32>,
     tree: Tree,
+    /// With leaves of [`WIDTH`] points.
+    fine: Tree,
 }
 
 impl Similarity {
     /// Indexes `whitened` mentor states (row-major, `dim` features, at least one).
     pub fn new(whitened: Vec<f32>, dim: usize, e_th: f32) -> Self {
-        let tree = Tree::new(&whitened, dim);
-        Self { dim, e_th, whitened, tree }
+        let (tree, fine) = (Tree::new(&whitened, dim, LEAF), Tree::new(&whitened, dim, WIDTH));
+        Self { dim, e_th, whitened, tree, fine }
     }
 
     /// States are similar up to this KL divergence.
@@ -36,9 +41,9 @@ impl Similarity {
         self.e_th
     }
 
-    /// The tree over the mentor states.
+    /// A tree over the mentor states with small leaves: for walks that rule nodes out by numbers of their own.
     pub fn tree(&self) -> &Tree {
-        &self.tree
+        &self.fine
     }
 
     /// Mentor state `m`, whitened.

@@ -5,12 +5,13 @@
 //! position, not by value, so any number of equal points is as good as any other set. Boxes only rule out what cannot
 //! be in reach; every point that remains is tested, so what is found is exact.
 //!
-//! A node has up to [`WIDTH`] children, or as many points, and their coordinates lie together, feature by feature: a query
-//! compares itself with all of them at once, and what it needs next comes into the cache in one piece.
+//! A node has up to [`WIDTH`] children, whose corners lie together, feature by feature, so that a query compares itself with
+//! all of them at once. The points of a leaf form groups of [`WIDTH`] that are compared in the same way and lie one after the
+//! other.
 
 use std::ops::Range;
 
-/// Children of a node, at most, and points of a leaf.
+/// Children of a node, at most, and points of a group.
 pub const WIDTH: usize = 8;
 /// Halvings that make the children of a node.
 const HALVINGS: u32 = WIDTH.ilog2();
@@ -27,47 +28,55 @@ struct Node {
     first: u32,
     count: u32,
     leaf: bool,
+    /// Where its rows begin, in `dim` rows.
+    rows: u32,
     /// Number of the parent; the root's is 0.
     parent: u32,
 }
 
 /// The tree. Nodes are numbered from the root, 0, and a parent comes before its children. Memory: with `dim` features
-/// 64 `dim` bytes and some a node, about a node for every five points.
+/// about 5 `dim` bytes and some a point.
 #[derive(Clone, Debug)]
 pub struct Tree {
     dim: usize,
     /// The points' numbers, those of a leaf side by side.
     order: Vec<u32>,
     nodes: Vec<Node>,
-    /// 2 `dim` rows a node: the lower corners of its children's boxes, feature by feature, and then the upper ones; or the
-    /// points of a leaf, and as many rows without a meaning.
+    /// Of a node 2 `dim` rows: the lower corners of its children's boxes, feature by feature, and then the upper ones. Of a leaf
+    /// `dim` rows a group.
     rows: Vec<Lanes>,
 }
 
 impl Tree {
-    /// A tree over `points` (row-major, `dim` numbers each, all finite, fewer than 2^31 points).
-    pub fn new(points: &[f32], dim: usize) -> Self {
+    /// A tree over `points` (row-major, `dim` numbers each, all finite, fewer than 2^31 points) with up to `leaf` points in a
+    /// leaf, at least 1. The larger it is, the more points are looked at one after the other, and the fewer boxes, each of which is
+    /// somewhere else in memory.
+    pub fn new(points: &[f32], dim: usize, leaf: usize) -> Self {
         let count = points.len() / dim;
         let order = (0..count as u32).collect();
         let mut tree = Self { dim, order, nodes: Vec::new(), rows: Vec::new() };
         tree.push(0..count, 0);
         let mut at = 0;
         while at < tree.nodes.len() {
-            let range = tree.points(at);
-            if range.len() > WIDTH {
-                let parts = tree.split(points, range);
+            let (range, base) = (tree.points(at), tree.rows.len());
+            tree.nodes[at].rows = (base / dim) as u32;
+            if range.len() > leaf {
+                tree.rows.resize(base + 2 * dim, [0.0; WIDTH]);
+                let parts = tree.split(points, range, leaf);
                 (tree.nodes[at].first, tree.nodes[at].count) = (tree.nodes.len() as u32, parts.len() as u32);
                 for (lane, part) in parts.into_iter().enumerate() {
                     let (low, high) = tree.bounds(points, part.clone());
-                    let rows = tree.rows[2 * at * dim..].iter_mut();
+                    let rows = tree.rows[base..].iter_mut();
                     rows.zip(low.into_iter().chain(high)).for_each(|(row, x)| row[lane] = x);
                     tree.push(part, at);
                 }
             } else {
                 tree.nodes[at].leaf = true;
-                for (lane, place) in range.enumerate() {
+                tree.rows.resize(base + range.len().div_ceil(WIDTH) * dim, [0.0; WIDTH]);
+                for (i, place) in range.enumerate() {
                     let point = &points[tree.order[place] as usize * dim..][..dim];
-                    tree.rows[2 * at * dim..].iter_mut().zip(point).for_each(|(row, &x)| row[lane] = x);
+                    let rows = tree.rows[base + i / WIDTH * dim..].iter_mut();
+                    rows.zip(point).for_each(|(row, &x)| row[i % WIDTH] = x);
                 }
             }
             at += 1;
@@ -75,11 +84,10 @@ impl Tree {
         tree
     }
 
-    /// Appends a node that has the points of `range` for the present, and whose rows are empty.
+    /// Appends a node that has the points of `range` for the present, and no rows.
     fn push(&mut self, range: Range<usize>, parent: usize) {
         let (first, count) = (range.start as u32, range.len() as u32);
-        self.nodes.push(Node { first, count, leaf: false, parent: parent as u32 });
-        self.rows.resize(self.rows.len() + 2 * self.dim, [0.0; WIDTH]);
+        self.nodes.push(Node { first, count, leaf: false, rows: 0, parent: parent as u32 });
     }
 
     /// The places of the points of a node that has no children.
@@ -88,12 +96,12 @@ impl Tree {
         node.first as usize..(node.first + node.count) as usize
     }
 
-    /// Sorts the points of `range` into up to [`WIDTH`] parts that lie apart.
-    fn split(&mut self, points: &[f32], range: Range<usize>) -> Vec<Range<usize>> {
+    /// Sorts the points of `range` into up to [`WIDTH`] parts that lie apart; one of up to `leaf` points is not parted.
+    fn split(&mut self, points: &[f32], range: Range<usize>, leaf: usize) -> Vec<Range<usize>> {
         let mut parts = vec![range];
         for _ in 0..HALVINGS {
             for part in std::mem::take(&mut parts) {
-                if part.len() <= WIDTH {
+                if part.len() <= leaf {
                     parts.push(part);
                     continue;
                 }
@@ -141,7 +149,8 @@ impl Tree {
     /// For each child of node `at` a lower bound of the KL divergence (half the squared distance) of the point `query` to
     /// every point below the child, as [`super::metric::kl`] would compute it in whatever order of summation.
     pub fn lower_bounds(&self, at: usize, query: &[f32]) -> Lanes {
-        let (low, high) = self.rows[2 * at * self.dim..][..2 * self.dim].split_at(self.dim);
+        let (low, high) =
+            self.rows[self.nodes[at].rows as usize * self.dim..][..2 * self.dim].split_at(self.dim);
         let mut sum = [0.0; WIDTH];
         for ((&x, low), high) in query.iter().zip(low).zip(high) {
             for lane in 0..WIDTH {
@@ -155,11 +164,12 @@ impl Tree {
         sum.map(|sum| 0.5 * MARGIN * sum)
     }
 
-    /// The KL divergence of each point of leaf `at` from `query` in the features from `first` on, as many as `query` has; bit for
-    /// bit that of [`super::metric::kl`].
-    pub fn kl(&self, at: usize, first: usize, query: &[f32]) -> Lanes {
+    /// The KL divergence of each point of group `group` of leaf `at`, which has the points from `group * WIDTH` on, from `query`
+    /// in the features from `first` on, as many as `query` has; bit for bit that of [`super::metric::kl`].
+    pub fn kl(&self, at: usize, group: usize, first: usize, query: &[f32]) -> Lanes {
         let mut sum = [0.0; WIDTH];
-        for (&x, row) in query.iter().zip(&self.rows[2 * at * self.dim + first..]) {
+        let rows = &self.rows[(self.nodes[at].rows as usize + group) * self.dim + first..];
+        for (&x, row) in query.iter().zip(rows) {
             for lane in 0..WIDTH {
                 sum[lane] += (x - row[lane]) * (x - row[lane]);
             }
@@ -192,23 +202,31 @@ impl Tree {
         stack.push(0);
         while let Some(at) = stack.pop() {
             let (at, node) = (at as usize, &self.nodes[at as usize]);
-            let kl = if node.leaf { self.kl(at, 0, query) } else { self.lower_bounds(at, query) };
-            // As bits: which are in reach nobody can predict, how many there are is better known.
-            let in_reach =
-                kl.iter().zip(0..).fold(0, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
-            let mut bits = in_reach & ((1 << node.count) - 1);
-            while bits != 0 {
-                let lane = bits.trailing_zeros();
-                bits &= bits - 1;
-                let i = node.first + lane;
-                if node.leaf {
-                    visit(self.order[i as usize] as usize, kl[lane as usize]);
-                } else {
-                    stack.push(i);
+            if !node.leaf {
+                for lane in in_reach(&self.lower_bounds(at, query), reach, node.count as usize) {
+                    stack.push(node.first + lane as u32);
                 }
+                continue;
+            }
+            for (group, numbers) in self.numbers(at).chunks(WIDTH).enumerate() {
+                let kl = self.kl(at, group, 0, query);
+                in_reach(&kl, reach, numbers.len()).for_each(|lane| visit(numbers[lane] as usize, kl[lane]));
             }
         }
     }
+}
+
+/// The first `count` lanes in which `kl` is `reach` or less. By way of bits: which they are nobody can predict, how many there
+/// are is better known.
+fn in_reach(kl: &Lanes, reach: f32, count: usize) -> impl Iterator<Item = usize> {
+    let all = kl.iter().zip(0..).fold(0u32, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
+    let mut bits = all & ((1 << count) - 1);
+    std::iter::from_fn(move || {
+        let lane = bits.trailing_zeros() as usize;
+        let found = bits != 0;
+        bits &= bits.wrapping_sub(1);
+        found.then_some(lane)
+    })
 }
 
 #[cfg(test)]
@@ -222,9 +240,9 @@ mod tests {
     proptest! {
         #![proptest_config(cases(256))]
         #[test]
-        fn what_is_in_reach_is_found((dim, points) in points(2..200), reach in 0.0f32..9.0) {
+        fn what_is_in_reach_is_found((dim, points) in points(2..200), reach in 0.0f32..9.0, leaf in 1usize..40) {
             let (points, query) = points.split_at(points.len() - dim);
-            let tree = Tree::new(points, dim);
+            let tree = Tree::new(points, dim, leaf);
             let mut found = Vec::new();
             tree.within(query, reach, &mut Vec::new(), |i, kl| found.push((i, kl)));
             found.sort_unstable_by_key(|(i, _)| *i);
@@ -235,7 +253,7 @@ mod tests {
         #[test]
         fn maxima_are_kept(count in 1usize..400, changes in prop::collection::vec((0usize..400, 0u32..9), 0..60)) {
             let points: Vec<f32> = (0..count).map(|i| (i * 7 % 11) as f32).collect();
-            let tree = Tree::new(&points, 1);
+            let tree = Tree::new(&points, 1, 5);
             let mut values = vec![9; count];
             let mut maxima = vec![9; tree.n_nodes()];
             let largest = |values: &[u32], at: usize| tree.numbers(at).iter().map(|&i| values[i as usize]).max();
@@ -253,7 +271,7 @@ mod tests {
 
     #[test]
     fn a_thousand_equal_points_are_no_special_case() {
-        let tree = Tree::new(&[2.5; 1000], 1);
+        let tree = Tree::new(&[2.5; 1000], 1, 32);
         let mut count = 0;
         tree.within(&[2.5], 0.0, &mut Vec::new(), |_, _| count += 1);
         assert_eq!(count, 1000);
