@@ -8,7 +8,7 @@ use crate::util::{
 use nix::sys::signal::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Transition};
 use trestle_proto::config::Mode;
 use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
@@ -146,11 +146,13 @@ fn a_schedule_of_faults_changes_nothing() {
 fn a_rogue_peer_is_named_and_shaken_off() {
     let place = Place::new();
     let undisturbed = place.train("undisturbed", &ARGS);
-    let spoil: [fn(&mut BatchHeader); 4] = [
-        |header| header.run ^= 1,
-        |header| header.tick = 1,
-        |header| header.actor = 63,
-        |header| header.obs_dim = 3,
+    // The last one is what an environment would send that has lost its footing.
+    let spoil: [fn(&mut BatchHeader) -> f32; 5] = [
+        |header| (header.run ^= 1, 0.0).1,
+        |header| (header.tick = 1, 0.0).1,
+        |header| (header.actor = 63, 0.0).1,
+        |header| (header.obs_dim = 3, 0.0).1,
+        |_| f32::NAN,
     ];
     let mut run = start(&place.training("run", &ARGS));
     let dir = place.run("run");
@@ -160,20 +162,33 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         run.wait_for("a checkpoint", || newest_checkpoint(&dir) > before);
         let plan = dir.read_plan().unwrap();
         assert_eq!(plan.restarts, restarts as u64);
+        // The learner waits for whoever does not take its ticks: it is not to see him before he has sent something.
+        let learner = process(dir.root(), "learner").unwrap();
+        send(learner, Signal::SIGSTOP);
         let mut rogue = IceoryxActor::new(&Domain::of(plan.run), &plan, 0).unwrap();
         let mut batch = Batch::default();
         let mut header = BatchHeader { run: plan.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
-        spoil(&mut header);
+        let reward = spoil(&mut header);
         batch.prepare(header);
-        run.wait_for("the learner to notice", || {
-            // It may not be listening to us yet, or any more.
-            let _ = rogue.send_batch(&batch);
-            dir.read_plan().unwrap().restarts > restarts as u64
-        });
+        let (obs, flags) = (vec![0.0; header.obs_dim as usize], 0);
+        batch.set(0, &Transition { obs: &obs, next_obs: &obs, action: 0, reward, flags });
+        rogue.send_batch(&batch).unwrap();
+        send(learner, Signal::SIGCONT);
+        run.wait_for("the learner to notice", || dir.read_plan().unwrap().restarts > restarts as u64);
     }
-    survived(&place, run, "run", 4, &undisturbed);
+    survived(&place, run, "run", 5, &undisturbed);
     let log = fs::read_to_string(dir.log("supervisor")).unwrap();
-    assert_eq!(log.matches("learner ended with exit status: 1").count(), 4, "{log}");
+    assert_eq!(log.matches("learner ended with exit status: 1").count(), 5, "{log}");
+    let log = fs::read_to_string(dir.log("learner")).unwrap();
+    for words in [
+        "unexpected message: batch BatchHeader { run: ",
+        "actor 0's batch of tick 1; tick ",
+        "actor: 63,",
+        "has observations of 3 features; this run's have 2",
+        "transition 0 of actor 0 has a reward that is not finite",
+    ] {
+        assert!(log.contains(words), "`{words}` is missing: {log}");
+    }
 }
 
 /// Clients that ask and never listen to the answers cost the run nothing.

@@ -318,7 +318,7 @@ impl LearnerLink for IceoryxLearner {
     }
 }
 
-/// Fewer receivers than processes means that one of them is gone.
+/// Fewer receivers than processes means that one of them is gone. Who listens besides is no business of the run's.
 fn delivered(what: &'static str, found: usize, expected: usize) -> Result<(), LinkError> {
-    if found == expected { Ok(()) } else { Err(LinkError::Receivers { what, found, expected }) }
+    if found >= expected { Ok(()) } else { Err(LinkError::Receivers { what, found, expected }) }
 }
