@@ -22,7 +22,7 @@ use trestle_proto::plan::RunPlan;
 /// Trains the prepared run in this process.
 pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let (plan, dir) = (prepared.plan(), prepared.dir());
-    ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep");
+    ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep, free");
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;

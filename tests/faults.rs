@@ -147,12 +147,12 @@ fn a_rogue_peer_is_named_and_shaken_off() {
     let place = Place::new();
     let undisturbed = place.train("undisturbed", &ARGS);
     // The last one is what an environment would send that has lost its footing.
-    let spoil: [fn(&mut BatchHeader) -> f32; 5] = [
-        |header| (header.run ^= 1, 0.0).1,
-        |header| (header.tick = 1, 0.0).1,
-        |header| (header.actor = 63, 0.0).1,
-        |header| (header.obs_dim = 3, 0.0).1,
-        |_| f32::NAN,
+    let spoil: [fn(&mut BatchHeader, &mut f32); 5] = [
+        |header, _| header.run ^= 1,
+        |header, _| header.tick = 1,
+        |header, _| header.actor = 63,
+        |header, _| header.obs_dim = 3,
+        |_, reward| *reward = f32::NAN,
     ];
     let mut run = start(&place.training("run", &ARGS));
     let dir = place.run("run");
@@ -168,7 +168,8 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         let mut rogue = IceoryxActor::new(&Domain::of(plan.run), &plan, 0).unwrap();
         let mut batch = Batch::default();
         let mut header = BatchHeader { run: plan.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
-        let reward = spoil(&mut header);
+        let mut reward = 0.0;
+        spoil(&mut header, &mut reward);
         batch.prepare(header);
         let (obs, flags) = (vec![0.0; header.obs_dim as usize], 0);
         batch.set(0, &Transition { obs: &obs, next_obs: &obs, action: 0, reward, flags });

@@ -152,6 +152,30 @@ fn without_its_learner_the_run_goes_back_to_the_newest_checkpoint() {
     assert_eq!(last, [2 << 16; 3], "every start has incarnations of its own");
 }
 
+/// A run that has ended can be prolonged, with all that it has recorded, and in its own mode alone.
+#[test]
+fn a_complete_run_is_prolonged() {
+    let place = Place::new();
+    let dir = place.run("run");
+    // A multiple of what an actor sends, so that nothing of a batch is lost at the end.
+    let args = |steps| {
+        ["maze-small", "--mode", "free", "--actors", "2", "--episodes", "100000", "--env-steps", steps]
+    };
+    place.train("run", &args("6400"));
+    let before = evaluations(&dir);
+    let other = ["maze-small", "--actors", "2", "--episodes", "100000", "--env-steps", "12800", "--resume"];
+    start(&place.training("run", &other)).finish().refused(&["--resume"]);
+    start(&place.training("run", &[&args("12800")[..], &["--resume"]].concat())).finish().ok();
+    let text = fs::read_to_string(dir.evals()).unwrap();
+    assert!(
+        text.lines().nth(before).unwrap().split(',').nth(1) == Some("6400"),
+        "the last evaluation is kept: {text}"
+    );
+    let (result, rows) = (result(&dir), counted(&dir));
+    assert_eq!((result.env_steps, rows.iter().map(|row| row.env_steps).sum()), (12_800, 12_800));
+    assert_eq!(rows.iter().filter(|row| row.incarnation == 1 << 16).count(), 2, "{rows:?}");
+}
+
 /// A short piece of what `cargo test --test faults -- --mode free` plays at length.
 #[test]
 fn a_schedule_of_faults_loses_and_doubles_nothing() {

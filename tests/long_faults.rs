@@ -18,7 +18,13 @@ fn main() {
     while let Some(arg) = args.next() {
         let value = args.next().unwrap_or_else(|| panic!("{arg} needs a value"));
         match arg.as_str() {
-            "--mode" => mode = if value == "free" { Mode::Free } else { Mode::Lockstep },
+            "--mode" => {
+                mode = match value.as_str() {
+                    "lockstep" => Mode::Lockstep,
+                    "free" => Mode::Free,
+                    _ => panic!("unknown mode {value}; accepted: lockstep, free"),
+                }
+            }
             "--seed" => seed = value.parse().unwrap(),
             "--faults" => faults = value.parse().unwrap(),
             "--kinds" => kinds = value.split(',').map(kind).collect(),

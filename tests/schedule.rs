@@ -166,11 +166,18 @@ pub(crate) fn play(
     summary
 }
 
-/// How often all processes of the run, or in free mode one that was replaced, have come so far that the run could go on.
-fn readies(dir: &RunDir) -> usize {
+/// How often the run, or in free mode the process `role` of it alone, has come so far that it could go on.
+fn readies(dir: &RunDir, role: &str) -> usize {
     let log = fs::read_to_string(dir.log("learner")).unwrap_or_default();
-    let words = ["all processes are ready", "an actor has come", "a new mentor-server has the history"];
-    words.iter().map(|words| log.matches(words).count()).sum()
+    let starts = log.matches("all processes are ready").count();
+    match role.strip_prefix("actor-") {
+        // At each start, too, it announces itself, soon after all are ready.
+        Some(index) => starts.max(log.matches(&format!("an actor has come actor={index} ")).count()),
+        None if role == "mentor-server" => {
+            starts + log.matches("a new mentor-server has the history").count()
+        }
+        None => starts,
+    }
 }
 
 /// A run that things happen to.
@@ -206,11 +213,6 @@ impl<'a> Run<'a> {
         met
     }
 
-    /// See [`readies`].
-    fn readies(&self) -> usize {
-        readies(&self.dir)
-    }
-
     /// Lets `fault` befall the process `role` of the run. Returns how long the run took to recover, if it had to; none at
     /// all if it ended before.
     fn befall(&mut self, fault: &Fault, role: &str) -> Option<Option<Duration>> {
@@ -236,7 +238,7 @@ impl<'a> Run<'a> {
             Kind::Version => self.change_version(),
             Kind::Kill | Kind::Stop | Kind::Pause => {}
         }
-        let (readies, began) = (self.readies(), Instant::now());
+        let (readies, began) = (readies(&self.dir, role), Instant::now());
         let pause = Duration::from_millis(fault.word % 900);
         let stops = fault.kind == Kind::Stop && role != "supervisor";
         if fault.kind == Kind::Pause || fault.kind == Kind::Stop && role == "supervisor" {
@@ -250,7 +252,7 @@ impl<'a> Run<'a> {
         if role == "supervisor" {
             self.start_again();
         }
-        let recovered = self.reaches(|dir| self::readies(dir) > readies);
+        let recovered = self.reaches(|dir| self::readies(dir, role) > readies);
         // A run that was at its end may have ended nevertheless.
         Some((recovered && !stops).then(|| began.elapsed()))
     }

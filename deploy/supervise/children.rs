@@ -168,7 +168,7 @@ pub(super) fn start(
         Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
     };
     if let (Role::Actor(_), Mode::Free) = (role, prepared.plan().config.run.mode) {
-        let incarnation = (prepared.plan().generation << 16) | u32::from(replacements);
+        let incarnation = (u32::from(prepared.plan().generation) << 16) | u32::from(replacements);
         command.arg("--incarnation").arg(incarnation.to_string());
     }
     command.arg("--run").arg(dir.root()).arg("--watch-stdin");

@@ -30,7 +30,7 @@ use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 use trestle_learner::record::{Progress, RunResult};
 use trestle_proto::config::Mode;
-use trestle_proto::limits::{BEAT, BLAME, GRACE, REAP, RESTART_BACKOFF, SETTLE};
+use trestle_proto::limits::{BEAT, BLAME, GRACE, HANDSHAKE, REAP, RESTART_BACKOFF, SETTLE};
 use trestle_proto::transport::iceoryx::{Domain, Services};
 
 /// How a run ended.
@@ -136,16 +136,18 @@ struct Replacing<'a> {
     events: &'a mpsc::Sender<Event>,
     /// The processes that have died, each with its account and how often it has been replaced.
     accounts: Vec<(Role, Restarts, u16)>,
-    /// Who is to be started anew, and when.
-    due: Vec<(tokio::time::Instant, Role)>,
+    /// Who is to be started anew, and when; nobody where only what the dead left is to be removed.
+    due: Vec<(tokio::time::Instant, Option<Role>)>,
     /// When a process was started last.
     started: tokio::time::Instant,
+    /// Since when what the dead left cannot be removed.
+    stuck: Option<tokio::time::Instant>,
 }
 
 impl<'a> Replacing<'a> {
     fn new(prepared: &'a Prepared, services: &'a Services, events: &'a mpsc::Sender<Event>) -> Self {
         let started = tokio::time::Instant::now();
-        Self { prepared, services, events, accounts: Vec::new(), due: Vec::new(), started }
+        Self { prepared, services, events, accounts: Vec::new(), due: Vec::new(), started, stuck: None }
     }
 
     /// Whether the others can go on without `role` until there is another.
@@ -155,7 +157,7 @@ impl<'a> Replacing<'a> {
 
     /// Plans the replacement of the process that has died, or says why there is to be none.
     fn plan(&mut self, death: &Death, display: &Display) -> Result<()> {
-        let newest = self.prepared.newest_checkpoint()?;
+        let newest = self.prepared.last_checkpoint();
         let at = match self.accounts.iter().position(|(role, ..)| *role == death.role) {
             Some(at) => at,
             None => {
@@ -171,8 +173,13 @@ impl<'a> Replacing<'a> {
         let said = format!("{death}; replacing it");
         display.say(&said);
         self.prepared.note(&said);
-        self.due.push((tokio::time::Instant::now() + pause, death.role));
+        self.due.push((tokio::time::Instant::now() + pause, Some(death.role)));
         Ok(())
+    }
+
+    /// Plans nothing but that what a dead process left is removed.
+    fn tidy(&mut self) {
+        self.due.push((tokio::time::Instant::now(), None));
     }
 
     /// Removes what dead processes left, unless one has been started so shortly before that it might still be making its
@@ -194,13 +201,19 @@ impl<'a> Replacing<'a> {
         let now = tokio::time::Instant::now();
         // They need the dead ones' places among the services.
         if !self.reap() {
+            if now - *self.stuck.get_or_insert(now) > HANDSHAKE {
+                return Err(anyhow!(
+                    "what a dead process left in shared memory cannot be removed (`trestle doctor`)"
+                ));
+            }
             self.due.iter_mut().for_each(|(at, _)| *at = (*at).max(now + RESTART_BACKOFF));
             return Ok(());
         }
+        self.stuck = None;
         let (now_due, later) = self.due.drain(..).partition(|(at, _)| *at <= now);
         self.due = later;
         let now_due: Vec<_> = now_due;
-        for (_, role) in now_due {
+        for role in now_due.into_iter().filter_map(|(_, role)| role) {
             let account = self.accounts.iter_mut().find(|(of, ..)| *of == role);
             let (_, _, count) = account.context("a process is to be replaced that has not died")?;
             *count = count.checked_add(1).with_context(|| format!("{role} has been replaced 65535 times"))?;
@@ -335,7 +348,7 @@ async fn watch(
                         }
                         // A run that is ending can do without it, and must learn that it is gone.
                         if interrupted {
-                            replacing.reap();
+                            replacing.tidy();
                         } else {
                             replacing.plan(&death, display)?;
                         }

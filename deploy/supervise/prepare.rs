@@ -290,7 +290,7 @@ impl Resolved {
             // A plan that cannot be read any more is not needed to go on.
             if let Ok(before) = dir.read_plan() {
                 plan.restarts = before.restarts;
-                plan.generation = before.generation + 1;
+                plan.generation = next_generation(before.generation)?;
             }
         }
         if self.config.run.mode != Mode::Reference {
@@ -377,6 +377,13 @@ impl Prepared {
         Ok(checkpoint::newest_resumable(self.dir.root(), &self.plan)?.map(|(tick, _)| tick))
     }
 
+    /// The tick that the link to the newest checkpoint names, whether that is sound or not: for whoever only wants to know
+    /// whether the run gets ahead.
+    pub(super) fn last_checkpoint(&self) -> Option<u64> {
+        let target = fs::read_link(self.dir.last()).ok()?;
+        target.file_name()?.to_str()?.parse().ok()
+    }
+
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(super) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
@@ -384,7 +391,7 @@ impl Prepared {
         self.plan.resume_tick = tick;
         self.plan.run = new_identity();
         self.plan.restarts += 1;
-        self.plan.generation += 1;
+        self.plan.generation = next_generation(self.plan.generation)?;
         Ok(write_atomically(&self.dir.plan(), &self.plan.encode()?)?)
     }
 
@@ -499,6 +506,11 @@ fn move_aside(root: &Path) -> Result<PathBuf> {
     let aside = root.with_file_name(aside);
     fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
     Ok(aside)
+}
+
+/// The number of the start after `generation`.
+fn next_generation(generation: u16) -> Result<u16> {
+    generation.checked_add(1).context("the run has been started 65536 times")
 }
 
 /// An identity for the run's shared memory: 32 bits that no living run has; a clash is found when the domain is made.

@@ -61,7 +61,8 @@ impl Restarts {
         }
         if self.spent.len() >= self.allowed as usize {
             return Verdict::End(format!(
-                "the run has been started again {} times without getting ahead",
+                "{} has been started again {} times without getting ahead",
+                if self.deterministic { "the run" } else { "it" },
                 self.spent.len()
             ));
         }

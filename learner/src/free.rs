@@ -37,6 +37,7 @@ pub(crate) fn run<L: LearnerLink>(
         observed: Observed::default(),
         actors: vec![None; actors],
         orders: Orders { run: plan.run, ..Orders::default() },
+        saved: plan.resume_tick,
         stop,
     }
     .run()
@@ -63,6 +64,8 @@ struct Free<'a, L> {
     actors: Vec<Option<Incarnation>>,
     /// As published last.
     orders: Orders,
+    /// The round of the last checkpoint.
+    saved: Option<u64>,
     stop: Stop<'a>,
 }
 
@@ -98,13 +101,14 @@ impl<L: LearnerLink> Free<'_, L> {
         let start = Instant::now();
         let mut timeout = WAIT_SLICE;
         for _ in 0..most {
-            let Some(message) = self.link.recv(&mut self.batches, timeout)? else {
-                pulse::step();
-                break;
-            };
+            let message = self.link.recv(&mut self.batches, timeout)?;
             if !timeout.is_zero() {
                 self.session.waited(start.elapsed());
             }
+            let Some(message) = message else {
+                pulse::step();
+                break;
+            };
             timeout = Duration::ZERO;
             self.take(message)?;
             if self.session.done() {
@@ -128,8 +132,10 @@ impl<L: LearnerLink> Free<'_, L> {
         let (actor, tick) = (reply.header.actor, reply.header.tick);
         match reply.header.kind {
             JOINED => {
-                let number = u32::try_from(tick)
-                    .map_err(|_| LinkError::Unexpected(format!("incarnation {tick} of actor {actor}")))?;
+                let number = u32::try_from(tick).unwrap_or(u32::MAX);
+                if number >> 16 != u32::from(self.plan.generation) {
+                    return Err(LinkError::Unexpected(format!("incarnation {tick} of actor {actor}")).into());
+                }
                 let present = &mut self.actors[actor as usize];
                 if present.is_none_or(|present| present.number < number) {
                     *present = Some(Incarnation { number, batches: 0, next_seq: 0 });
@@ -141,7 +147,7 @@ impl<L: LearnerLink> Free<'_, L> {
             EVALUATION => {
                 let evaluation: Evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
                 // An actor and the one that replaces it may both have played the same.
-                if evaluation.evaluation + 1 == self.orders.evaluation {
+                if self.orders.evaluation.checked_sub(1) == Some(evaluation.evaluation) {
                     self.session.evaluated(&evaluation)?;
                     self.orders.evaluation = 0;
                 }
@@ -166,6 +172,15 @@ impl<L: LearnerLink> Free<'_, L> {
         let (found, expected) = (header.first_seq, present.next_seq);
         if found != expected {
             let text = format!("a batch of actor {actor} from number {found} on; {expected} is the next");
+            return Err(LinkError::Unexpected(text).into());
+        }
+        let (count, rollout) = (header.count, self.plan.config.run.rollout);
+        if count != rollout || present.batches >= self.orders.granted(actor, present.number) {
+            let text = format!(
+                "a batch of actor {actor} with {count} transitions, after {} batches; it is granted {} of {rollout}",
+                present.batches,
+                self.orders.granted(actor, present.number)
+            );
             return Err(LinkError::Unexpected(text).into());
         }
         let has_mentor = self.plan.mentor_len() > 0;
@@ -207,7 +222,10 @@ impl<L: LearnerLink> Free<'_, L> {
     /// Waits for a new mentor-server and gives it the history. False: the run is to end first.
     fn revive_mentor(&mut self) -> Result<bool, RunError> {
         loop {
-            match self.link.rejoin_mentor(self.stop) {
+            let start = Instant::now();
+            let joined = self.link.rejoin_mentor(self.stop);
+            self.session.waited(start.elapsed());
+            match joined {
                 Err(LinkError::Interrupted(_)) => return Ok(false),
                 joined => joined?,
             }
@@ -238,7 +256,7 @@ impl<L: LearnerLink> Free<'_, L> {
         }
     }
 
-    /// Publishes what each actor may send, where that has changed.
+    /// Publishes what each actor may send. Also where nothing has changed: whoever has found no weights waits for it.
     fn publish_orders(&mut self) -> Result<(), RunError> {
         let mut orders = self.orders;
         orders.env_steps = self.session.agent().counters().env_steps;
@@ -252,32 +270,46 @@ impl<L: LearnerLink> Free<'_, L> {
     }
 
     fn checkpoint(&mut self) -> Result<(), RunError> {
+        // What has come since the last one need not be a batch, and checkpoints are told apart by their rounds.
+        if self.saved == Some(self.session.tick()) {
+            self.session.skip_round();
+        }
+        self.saved = Some(self.session.tick());
         // Actors begin a new episode when the run is resumed.
         let none = vec![Vec::new(); self.actors.len()];
         Ok(self.session.checkpoint(None, &none)?)
     }
 
-    /// The run has reached its limits: a last evaluation, a last checkpoint, the result.
+    /// The run has reached its limits: a last evaluation, a last checkpoint, the result. One that is interrupted meanwhile
+    /// still owes the evaluation.
     fn finish(mut self) -> Result<RunResult, RunError> {
         // Before the evaluation, too: whatever happens to the actor that plays it, the training is kept.
         self.checkpoint()?;
-        self.await_evaluation()?;
+        if !self.await_evaluation()? {
+            return self.leave(true);
+        }
         self.session.request_final_evaluation();
         self.order_evaluation();
         self.publish_orders()?;
-        self.await_evaluation()?;
+        if !self.await_evaluation()? {
+            return self.leave(true);
+        }
         self.checkpoint()?;
         self.leave(false)
     }
 
-    fn await_evaluation(&mut self) -> Result<(), RunError> {
+    /// False: the run is to end first.
+    fn await_evaluation(&mut self) -> Result<bool, RunError> {
         while self.session.awaits_evaluation() {
+            if (self.stop)() {
+                return Ok(false);
+            }
             match self.link.recv(&mut self.batches, WAIT_SLICE)? {
                 Some(message) => self.take(message)?,
                 None => pulse::step(),
             }
         }
-        Ok(())
+        Ok(true)
     }
 
     fn leave(mut self, interrupted: bool) -> Result<RunResult, RunError> {
@@ -293,5 +325,149 @@ fn is_lost_mentor(error: &LinkError) -> bool {
         LinkError::Receivers { found, expected, .. } => found < expected,
         LinkError::Refused { reason, .. } => *reason == status_text(NOT_READY),
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::testing::{World, plan};
+    use std::thread;
+    use trestle_proto::batch::BatchHeader;
+    use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
+    use trestle_proto::rundir::RunDir;
+    use trestle_proto::transport::ActorLink;
+    use trestle_proto::transport::local::{self, LocalActor};
+
+    const ROLLOUT: u32 = 4;
+
+    /// An actor that the test plays.
+    struct Played<'a> {
+        plan: &'a RunPlan,
+        link: LocalActor,
+        world: World,
+    }
+
+    impl Played<'_> {
+        fn joins(&mut self, incarnation: u64) {
+            let header = ReplyHeader { run: self.plan.run, tick: incarnation, actor: 0, kind: JOINED };
+            self.link.send_reply(&Reply { header, payload: Vec::new() }).unwrap();
+        }
+
+        /// Sends a batch whose first transition has number `first_seq`.
+        fn sends(&mut self, incarnation: u32, first_seq: u64, count: u32) {
+            let (mut batch, _) = self.world.batch(0, count);
+            let run = self.plan.run;
+            batch.header = BatchHeader { run, incarnation, first_seq, ..batch.header };
+            self.link.send_batch(&batch).unwrap();
+        }
+
+        fn evaluates(&mut self, evaluation: u64) {
+            let header = ReplyHeader { run: self.plan.run, tick: 0, actor: 0, kind: EVALUATION };
+            let episode =
+                EvaluationEpisode { total_reward: 0.0, length: 1, success: false, path: Vec::new() };
+            let evaluation = Evaluation { evaluation, episodes: vec![episode] };
+            let payload = codec::encode(EVALUATION_KIND, &evaluation).unwrap();
+            self.link.send_reply(&Reply { header, payload }).unwrap();
+        }
+
+        /// Waits until the orders for `incarnation` say that so many of its batches have been counted. False: the learner
+        /// has left.
+        fn is_counted(&mut self, incarnation: u32, batches: u64) -> bool {
+            for _ in 0..50 {
+                let Some(orders) = self.link.recv_orders(WAIT_SLICE).unwrap() else { continue };
+                if orders.stop == 1 {
+                    return false;
+                }
+                if orders.evaluation > 0 {
+                    self.evaluates(orders.evaluation - 1);
+                }
+                let share = orders.shares[0];
+                if share.incarnation == incarnation && share.counted == batches && share.granted > batches {
+                    return true;
+                }
+            }
+            panic!("no orders for incarnation {incarnation} with {batches} batches");
+        }
+    }
+
+    /// A run of one actor, which `play` plays, with two batches to be on their way at the most.
+    fn played(play: impl FnOnce(&mut Played<'_>) + Send) -> Result<RunResult, RunError> {
+        let plan = plan(&[
+            "run.algo=dqn",
+            "run.mode=free",
+            "run.rollout=4",
+            "run.env_steps=20",
+            "eval.every=1000000",
+        ]);
+        let dir = tempfile::tempdir().unwrap();
+        let dir = RunDir::new(dir.path());
+        let (mut learner, _mentor, mut actors) = local::connect(&plan);
+        thread::scope(|scope| {
+            let plan = &plan;
+            let link = actors.remove(0);
+            scope.spawn(move || play(&mut Played { plan, link, world: World::new(plan, 1) }));
+            let session = Session::new(plan, &dir, None, |_| {}).unwrap();
+            run(&mut learner, plan, session, &|| false)
+        })
+    }
+
+    fn refusal(play: impl FnOnce(&mut Played<'_>) + Send) -> String {
+        played(play).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_batch_is_counted_once() {
+        let twice = refusal(|actor| {
+            actor.joins(0);
+            assert!(actor.is_counted(0, 0));
+            actor.sends(0, 0, ROLLOUT);
+            actor.sends(0, 0, ROLLOUT);
+        });
+        assert!(twice.contains("a batch of actor 0 from number 0 on; 4 is the next"), "{twice}");
+        let gap = refusal(|actor| {
+            actor.joins(0);
+            assert!(actor.is_counted(0, 0));
+            actor.sends(0, 0, ROLLOUT);
+            assert!(actor.is_counted(0, 1));
+            actor.sends(0, 8, ROLLOUT);
+        });
+        assert!(gap.contains("a batch of actor 0 from number 8 on; 4 is the next"), "{gap}");
+    }
+
+    #[test]
+    fn what_no_actor_of_this_start_sends_is_refused() {
+        let short = refusal(|actor| {
+            actor.joins(0);
+            assert!(actor.is_counted(0, 0));
+            actor.sends(0, 0, ROLLOUT - 1);
+        });
+        assert!(short.contains("with 3 transitions, after 0 batches; it is granted 2 of 4"), "{short}");
+        let foreign = refusal(|actor| actor.joins(1 << 16));
+        assert!(foreign.contains("incarnation 65536 of actor 0"), "{foreign}");
+    }
+
+    #[test]
+    fn batches_of_a_replaced_actor_are_dropped() {
+        let result = played(|actor| {
+            actor.sends(0, 0, ROLLOUT);
+            actor.joins(0);
+            assert!(actor.is_counted(0, 0), "what came before the actor had announced itself is not counted");
+            actor.sends(0, 0, ROLLOUT);
+            assert!(actor.is_counted(0, 1));
+            actor.joins(1);
+            actor.sends(0, 4, ROLLOUT);
+            assert!(actor.is_counted(1, 0));
+            for batch in 0..4 {
+                actor.sends(1, 4 * batch, ROLLOUT);
+                // An announcement that comes twice changes nothing.
+                actor.joins(1);
+                assert!(actor.is_counted(1, batch + 1));
+            }
+            assert!(!actor.is_counted(1, 5), "the run is over");
+        });
+        let result = result.unwrap();
+        assert_eq!((result.env_steps, result.restarts), (20, 1));
     }
 }

@@ -69,7 +69,7 @@ pub struct Session<'a> {
     agent: Agent,
     recorder: Recorder,
     saver: Saver,
-    /// The last tick that has been trained on.
+    /// The last tick that has been trained on; in free mode the last round.
     tick: u64,
     /// Number of the next evaluation.
     evaluations: u64,
@@ -258,6 +258,11 @@ impl<'a> Session<'a> {
         self.actors.push(ActorRow { actor, incarnation, ..ActorRow::default() });
     }
 
+    /// Free mode: begins a round that has no steps.
+    pub fn skip_round(&mut self) {
+        self.tick += 1;
+    }
+
     /// Free mode: the mentor-server has been replaced.
     pub fn mentor_replaced(&mut self) {
         self.replaced += 1;
@@ -384,7 +389,8 @@ impl<'a> Session<'a> {
         let state = State {
             recorder,
             evaluations: self.evaluations,
-            due: self.due,
+            // One that is being played, as may be in free mode, will be due again.
+            due: self.due.or(self.ordered),
             evaluated_at: self.evaluated_at,
             solved_by: self.solved_by,
             actors: self.actors.clone(),

@@ -27,9 +27,9 @@ pub struct RunPlan {
     pub resume_tick: Option<u64>,
     /// How many times the run has been started again after the death of one of its processes.
     pub restarts: u64,
-    /// How many times the run's processes have been started, all of them, before this plan's: those of free mode have
-    /// incarnations from `generation << 16` on.
-    pub generation: u32,
+    /// How many times the run's processes have been started, all of them, before this plan's: the upper half of the
+    /// incarnations in free mode.
+    pub generation: u16,
 }
 
 /// One of the demonstrations of a run. All of them together are the run's one list of mentor transitions.

@@ -48,7 +48,7 @@ pub struct Maze {
     pub mentor: Vec<(Place, Place, Step)>,
     /// The path of a greedy episode.
     pub path: Vec<Place>,
-    /// Squares along the side of a cell that `visits` and `values` are given for, 1 to 4.
+    /// Squares along the side of a cell that `visits` and `values` are given for: 1, 2 or 4.
     pub fine: usize,
     /// How often the state of a stored transition lies in each square, row by row; empty if unknown.
     pub visits: Vec<f64>,

@@ -53,7 +53,7 @@ pub enum CheckpointError {
     },
     /// The checkpoint is of a run with other settings.
     #[error(
-        "{path} is of another configuration ({found}; this run's is {expected}): algorithm, seed, environment, \
+        "{path} is of another configuration ({found}; this run's is {expected}): algorithm, seed, mode, environment, \
          actors, exploration, learner and mentor must be the same"
     )]
     Configuration {

@@ -51,10 +51,13 @@ pub struct Manifest {
 
 /// Identifies what a checkpoint may be continued with: SHA-256 of the configuration, the spaces and the length of
 /// the demonstration. Left out is what does not change how the agent learns: the limits of the run, evaluations,
-/// checkpoints, supervision, and whether the processes are one or several.
+/// checkpoints, supervision, and whether lockstep has one process or several.
 pub fn fingerprint(plan: &RunPlan) -> String {
     let mut config = plan.config.clone();
-    (config.run.episodes, config.run.env_steps, config.run.mode) = (None, None, Mode::Lockstep);
+    (config.run.episodes, config.run.env_steps) = (None, None);
+    if config.run.mode == Mode::Reference {
+        config.run.mode = Mode::Lockstep;
+    }
     config.run.stop_when_solved = false;
     (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
     config.supervise = Supervise::default();

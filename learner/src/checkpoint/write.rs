@@ -143,7 +143,8 @@ impl Frozen {
     /// Writes the checkpoint into `run_dir` (which exists) as its newest, and removes all but the newest `keep` complete
     /// ones as well as what was left unfinished.
     ///
-    /// If there is a sound checkpoint of the tick already, it is the same cut (runs are deterministic) and stays. Only one
+    /// If there is a sound checkpoint of the tick already, it is the same cut and stays: lockstep is deterministic, and free mode
+    /// takes no two at the same round. Only one
     /// process, with one thread, may write into a run directory at a time.
     ///
     /// # Errors

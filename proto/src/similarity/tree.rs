@@ -28,22 +28,22 @@ struct Node {
     first: u32,
     count: u32,
     leaf: bool,
-    /// Where its rows begin, in `dim` rows.
-    rows: u32,
     /// Number of the parent; the root's is 0.
     parent: u32,
 }
 
 /// The tree. Nodes are numbered from the root, 0, and a parent comes before its children. Memory: with `dim` features
-/// about 5 `dim` bytes and some a point.
+/// about 6 to 13 `dim` bytes and some a point.
 #[derive(Clone, Debug)]
 pub struct Tree {
     dim: usize,
+    /// Rows of a node. All have as many, so that they are found, and fetched, without a look at the node itself.
+    stride: usize,
     /// The points' numbers, those of a leaf side by side.
     order: Vec<u32>,
     nodes: Vec<Node>,
-    /// Of a node 2 `dim` rows: the lower corners of its children's boxes, feature by feature, and then the upper ones. Of a leaf
-    /// `dim` rows a group.
+    /// Of a node: the lower corners of its children's boxes, feature by feature, and then the upper ones. Of a leaf: the
+    /// points, `dim` rows a group. What rows remain mean nothing.
     rows: Vec<Lanes>,
 }
 
@@ -54,14 +54,13 @@ impl Tree {
     pub fn new(points: &[f32], dim: usize, leaf: usize) -> Self {
         let count = points.len() / dim;
         let order = (0..count as u32).collect();
-        let mut tree = Self { dim, order, nodes: Vec::new(), rows: Vec::new() };
+        let stride = dim * leaf.div_ceil(WIDTH).max(2);
+        let mut tree = Self { dim, stride, order, nodes: Vec::new(), rows: Vec::new() };
         tree.push(0..count, 0);
         let mut at = 0;
         while at < tree.nodes.len() {
-            let (range, base) = (tree.points(at), tree.rows.len());
-            tree.nodes[at].rows = (base / dim) as u32;
+            let (range, base) = (tree.points(at), at * stride);
             if range.len() > leaf {
-                tree.rows.resize(base + 2 * dim, [0.0; WIDTH]);
                 let parts = tree.split(points, range, leaf);
                 (tree.nodes[at].first, tree.nodes[at].count) = (tree.nodes.len() as u32, parts.len() as u32);
                 for (lane, part) in parts.into_iter().enumerate() {
@@ -72,7 +71,6 @@ impl Tree {
                 }
             } else {
                 tree.nodes[at].leaf = true;
-                tree.rows.resize(base + range.len().div_ceil(WIDTH) * dim, [0.0; WIDTH]);
                 for (i, place) in range.enumerate() {
                     let point = &points[tree.order[place] as usize * dim..][..dim];
                     let rows = tree.rows[base + i / WIDTH * dim..].iter_mut();
@@ -84,10 +82,11 @@ impl Tree {
         tree
     }
 
-    /// Appends a node that has the points of `range` for the present, and no rows.
+    /// Appends a node that has the points of `range` for the present, and whose rows are empty.
     fn push(&mut self, range: Range<usize>, parent: usize) {
         let (first, count) = (range.start as u32, range.len() as u32);
-        self.nodes.push(Node { first, count, leaf: false, rows: 0, parent: parent as u32 });
+        self.nodes.push(Node { first, count, leaf: false, parent: parent as u32 });
+        self.rows.resize(self.rows.len() + self.stride, [0.0; WIDTH]);
     }
 
     /// The places of the points of a node that has no children.
@@ -149,8 +148,7 @@ impl Tree {
     /// For each child of node `at` a lower bound of the KL divergence (half the squared distance) of the point `query` to
     /// every point below the child, as [`super::metric::kl`] would compute it in whatever order of summation.
     pub fn lower_bounds(&self, at: usize, query: &[f32]) -> Lanes {
-        let (low, high) =
-            self.rows[self.nodes[at].rows as usize * self.dim..][..2 * self.dim].split_at(self.dim);
+        let (low, high) = self.rows[at * self.stride..][..2 * self.dim].split_at(self.dim);
         let mut sum = [0.0; WIDTH];
         for ((&x, low), high) in query.iter().zip(low).zip(high) {
             for lane in 0..WIDTH {
@@ -168,7 +166,7 @@ impl Tree {
     /// in the features from `first` on, as many as `query` has; bit for bit that of [`super::metric::kl`].
     pub fn kl(&self, at: usize, group: usize, first: usize, query: &[f32]) -> Lanes {
         let mut sum = [0.0; WIDTH];
-        let rows = &self.rows[(self.nodes[at].rows as usize + group) * self.dim + first..];
+        let rows = &self.rows[at * self.stride + group * self.dim + first..];
         for (&x, row) in query.iter().zip(rows) {
             for lane in 0..WIDTH {
                 sum[lane] += (x - row[lane]) * (x - row[lane]);
