@@ -1,4 +1,4 @@
-//! The loop of the learner's process in lockstep, and what it has in common with that of free mode ([`crate::free`]).
+//! The loop of the learner's process in lockstep, and what it has in common with that of free mode (`free.rs`).
 //!
 //! A tick: every actor sends exactly one batch; the learner takes them in by the actors' order, asking the
 //! mentor-server about each; takes the gradient steps that are due; publishes the weights; and sends the next tick.

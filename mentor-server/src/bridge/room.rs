@@ -31,7 +31,7 @@ impl Room {
         stack: &mut Vec<u32>,
         mut visit: impl FnMut(usize, f32),
     ) {
-        let tree = similarity.tree();
+        let tree = similarity.fine();
         self.most.resize(tree.n_nodes(), most);
         let is_room = |steps: u32, kl: f32| steps > 0 && kl <= reach.limit(steps, reach.radius);
         stack.clear();

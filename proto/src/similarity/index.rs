@@ -42,7 +42,7 @@ impl Similarity {
     }
 
     /// A tree over the mentor states with small leaves: for walks that rule nodes out by numbers of their own.
-    pub fn tree(&self) -> &Tree {
+    pub fn fine(&self) -> &Tree {
         &self.fine
     }
 
