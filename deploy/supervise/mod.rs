@@ -210,9 +210,8 @@ impl<'a> Replacing<'a> {
             return Ok(());
         }
         self.stuck = None;
-        let (now_due, later) = self.due.drain(..).partition(|(at, _)| *at <= now);
+        let (now_due, later): (Vec<_>, _) = self.due.drain(..).partition(|(at, _)| *at <= now);
         self.due = later;
-        let now_due: Vec<_> = now_due;
         for role in now_due.into_iter().filter_map(|(_, role)| role) {
             let account = self.accounts.iter_mut().find(|(of, ..)| *of == role);
             let (_, _, count) = account.context("a process is to be replaced that has not died")?;
