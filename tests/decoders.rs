@@ -240,7 +240,7 @@ pub(crate) fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("messages", bytes(batch.header, batch.payload())),
         ("messages", bytes(tick, &[])),
-        ("messages", bytes(WeightsHeader::new(7, 4, &[1, 2], &weights), bytemuck::cast_slice(&weights))),
+        ("messages", bytes(WeightsHeader::new(7, 0, 4, &[1, 2], &weights), bytemuck::cast_slice(&weights))),
         ("messages", bytes(answer, &[1, NONE])),
         ("messages", bytemuck::cast_slice(&table).to_vec()),
         ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),

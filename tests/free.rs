@@ -105,26 +105,30 @@ fn ends(run: Process, dir: &RunDir, replacements: u64) {
 fn only_the_dead_process_is_replaced() {
     let place = Place::new();
     let (mut run, dir) = under_way(&place, &[]);
-    for role in ["actor-1", "mentor-server", "actor-0", "actor-1", "mentor-server"] {
+    for role in ["actor-1", "mentor-server", "actor-0", "actor-1", "mentor-server", "learner", "actor-1"] {
         replaced(&mut run, &dir, role, Signal::SIGKILL);
     }
-    ends(run, &dir, 5);
+    ends(run, &dir, 7);
     let rows = counted(&dir);
     let found: Vec<_> = rows.iter().map(|row| (row.actor, row.incarnation)).collect();
-    assert_eq!(found[3..], [(1, 1), (0, 1), (1, 2)], "{rows:?}");
+    assert_eq!(found[3..6], [(1, 1), (0, 1), (1, 2)], "{rows:?}");
+    // The next learner knows them anew, and the last of them was replaced once more.
+    let mut later = found[6..].to_vec();
+    later.sort_unstable();
+    assert_eq!(later, [(0, 1 << 16), (1, 1 << 16), (1, (1 << 16) + 1), (2, 1 << 16)], "{rows:?}");
     assert!(rows.iter().all(|row| row.env_steps > 0), "{rows:?}");
     let log = fs::read_to_string(dir.log("supervisor")).unwrap();
-    assert_eq!(log.matches("ended with signal: 9 (SIGKILL); replacing it").count(), 5, "{log}");
+    assert_eq!(log.matches("ended with signal: 9 (SIGKILL); replacing it").count(), 7, "{log}");
 }
 
 #[test]
 fn a_stopped_process_keeps_nobody_waiting_for_long() {
     let place = Place::new();
     let (mut run, dir) = under_way(&place, &["--set", "supervise.silence_s=3"]);
-    for role in ["actor-2", "mentor-server"] {
+    for role in ["actor-2", "mentor-server", "learner"] {
         replaced(&mut run, &dir, role, Signal::SIGSTOP);
     }
-    ends(run, &dir, 2);
+    ends(run, &dir, 3);
     let log = fs::read_to_string(dir.log("supervisor")).unwrap();
     assert!(
         log.contains("actor-2 gave no sign of life for 3 s (supervise.silence_s); replacing it"),
@@ -132,24 +136,37 @@ fn a_stopped_process_keeps_nobody_waiting_for_long() {
     );
 }
 
+/// One after the other, from the newest checkpoint or, before there is one, from the beginning; the others stay.
 #[test]
-fn without_its_learner_the_run_goes_back_to_the_newest_checkpoint() {
+fn a_learner_goes_on_where_the_former_one_had_saved() {
     let place = Place::new();
     let (mut run, dir) = under_way(&place, &[]);
-    run.wait_for("a checkpoint", || newest_checkpoint(&dir).is_some());
-    send(process(dir.root(), "learner").unwrap(), Signal::SIGKILL);
-    let rows = evaluations(&dir);
-    run.wait_for("the run to go on", || {
-        dir.read_plan().unwrap().restarts == 1 && evaluations(&dir) > rows + 3
-    });
-    ends(run, &dir, 1);
+    for _ in 0..4 {
+        replaced(&mut run, &dir, "learner", Signal::SIGKILL);
+    }
+    ends(run, &dir, 4);
     // And once more, as a user would.
     let mut run = start(&place.training("run", &[&ENDLESS[..], &["--actors", "3", "--resume"]].concat()));
     let rows = evaluations(&dir);
     run.wait_for("the run to go on", || evaluations(&dir) > rows + 3);
-    ends(run, &dir, 1);
+    ends(run, &dir, 4);
     let last: Vec<_> = counted(&dir).iter().rev().take(3).map(|row| row.incarnation).collect();
-    assert_eq!(last, [2 << 16; 3], "every start has incarnations of its own");
+    assert_eq!(last, [5 << 16; 3], "every learner has incarnations of its own");
+}
+
+#[test]
+fn a_learner_that_dies_before_it_has_saved_anything_begins_anew() {
+    let place = Place::new();
+    let (mut run, dir) = under_way(&place, &["--set", "checkpoint.every_env_steps=1000000000"]);
+    let before = ids(&dir);
+    send(before[0].unwrap(), Signal::SIGKILL);
+    run.wait_for("another learner", || ids(&dir)[0].is_some_and(|pid| Some(pid) != before[0]));
+    let starts = || fs::read_to_string(dir.log("learner")).unwrap().matches("ready to train").count();
+    run.wait_for("it to begin", || starts() == 2);
+    run.wait_for("its evaluations", || evaluations(&dir) >= 3);
+    assert_eq!(ids(&dir)[1..], before[1..]);
+    ends(run, &dir, 1);
+    assert!(counted(&dir).iter().all(|row| row.incarnation == 1 << 16), "{:?}", counted(&dir));
 }
 
 /// A run that has ended can be prolonged, with all that it has recorded, and in its own mode alone.

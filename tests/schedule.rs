@@ -115,7 +115,7 @@ impl Fault {
 pub(crate) struct Summary {
     pub(crate) faults: u64,
     pub(crate) runs: u64,
-    /// From a kill to the moment when all processes are ready again.
+    /// From a kill to the moment when the run can go on.
     pub(crate) recoveries: Vec<Duration>,
 }
 
@@ -169,9 +169,9 @@ pub(crate) fn play(
 /// How often the run, or in free mode the process `role` of it alone, has come so far that it could go on.
 fn readies(dir: &RunDir, role: &str) -> usize {
     let log = fs::read_to_string(dir.log("learner")).unwrap_or_default();
-    let starts = log.matches("all processes are ready").count();
+    let starts = log.matches("ready to train").count();
     match role.strip_prefix("actor-") {
-        // At each start, too, it announces itself, soon after all are ready.
+        // At each start of the learner, too, it announces itself.
         Some(index) => starts.max(log.matches(&format!("an actor has come actor={index} ")).count()),
         None if role == "mentor-server" => {
             starts + log.matches("a new mentor-server has the history").count()

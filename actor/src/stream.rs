@@ -1,5 +1,5 @@
 //! The loop of an actor's process in free mode: send batches for as long as the learner's orders allow, with the newest
-//! weights.
+//! weights. A learner may die and another take its place meanwhile: then the actor announces itself anew.
 
 use crate::run::{Left, RunError};
 use crate::worker::Worker;
@@ -11,13 +11,13 @@ use trestle_proto::orders::Orders;
 use trestle_proto::pulse;
 use trestle_proto::reply::{EVALUATION, EVALUATION_KIND, JOINED, Reply, ReplyHeader};
 use trestle_proto::tick::{COLLECT, EVALUATE, Tick};
-use trestle_proto::transport::{ActorLink, Stop};
+use trestle_proto::transport::{ActorLink, LinkError, Stop};
 
 /// Streams batches of `rollout` steps of run `run` to the learner at the other end of `link`, until its orders or `stop`
-/// say that the run is over.
+/// say that the run is over. That there is no learner for a while is no error.
 ///
 /// # Errors
-/// A message that cannot be right, a learner that is gone, or an environment that fails.
+/// A message that cannot be right, a transport or an environment that fails.
 pub fn stream(
     link: &mut impl ActorLink,
     worker: &mut Worker,
@@ -25,51 +25,146 @@ pub fn stream(
     rollout: u32,
     stop: Stop<'_>,
 ) -> Result<Left, RunError> {
-    link.hello(stop)?;
-    let (actor, incarnation) = (worker.index(), worker.incarnation());
-    let header = |tick, kind| ReplyHeader { run, tick, actor, kind };
-    link.send_reply(&Reply { header: header(incarnation.into(), JOINED), payload: Vec::new() })?;
-    tracing::info!(incarnation, "ready");
-    let mut batch = Batch::with_capacity(rollout as usize, worker.obs_dim());
-    let mut orders = Orders::default();
-    // Batches sent, and the number of the last evaluation played.
-    let (mut sent, mut played) = (0, 0);
+    let mut actor = Streaming {
+        run,
+        rollout,
+        orders: Orders::default(),
+        generation: worker.incarnation() >> 16,
+        sent: 0,
+        played: 0,
+        batch: Batch::with_capacity(rollout as usize, worker.obs_dim()),
+        pending: None,
+        link,
+        worker,
+    };
+    actor.announce(stop)?;
     while !stop() {
         pulse::step();
-        let evaluating = actor == 0 && orders.evaluation > played;
-        let collecting = sent < orders.granted(actor, incarnation);
-        let timeout = if evaluating || collecting { Duration::ZERO } else { WAIT_SLICE };
-        if let Some(newest) = link.recv_orders(timeout)? {
-            orders = newest;
-            if orders.stop == 1 {
+        let timeout = if actor.has_work() { Duration::ZERO } else { WAIT_SLICE };
+        if let Some(newest) = actor.link.recv_orders(timeout)? {
+            if newest.stop == 1 {
                 tracing::info!("the run is over");
                 return Ok(Left::Stopped);
             }
-            continue;
-        }
-        if !evaluating && !collecting {
-            continue;
-        }
-        let Some((weights_version, acting)) = link.newest_weights()? else {
-            // They are on their way, and new orders with them.
-            orders = Orders::default();
-            continue;
-        };
-        if evaluating {
-            let (evaluation, amount) = (orders.evaluation - 1, orders.episodes);
-            let tick = Tick { run, weights_version, evaluation, kind: EVALUATE, amount, ..Tick::default() };
-            let payload = codec::encode(EVALUATION_KIND, &worker.evaluate(acting, &tick)?)?;
-            link.send_reply(&Reply { header: header(weights_version, EVALUATION), payload })?;
-            played = orders.evaluation;
-        } else {
-            let env_steps = orders.env_steps;
-            let tick =
-                Tick { run, weights_version, env_steps, kind: COLLECT, amount: rollout, ..Tick::default() };
-            worker.collect(acting, &tick, &mut batch)?;
-            link.send_batch(&batch)?;
-            sent += 1;
+            actor.obey(newest, stop)?;
+        } else if actor.pending.is_some() {
+            actor.send()?;
+        } else if actor.has_work() {
+            actor.work()?;
         }
     }
     tracing::info!("told to leave");
     Ok(Left::Told)
+}
+
+/// What is to be sent.
+enum Message {
+    /// The batch that is kept.
+    Batch,
+    Reply(Reply),
+}
+
+struct Streaming<'a, L> {
+    link: &'a mut L,
+    worker: &'a mut Worker,
+    run: u64,
+    rollout: u32,
+    /// The newest of this generation.
+    orders: Orders,
+    /// The start of the learner that this actor has announced itself to.
+    generation: u32,
+    /// Batches sent.
+    sent: u64,
+    /// Number of the last evaluation played.
+    played: u64,
+    batch: Batch,
+    /// Goes before all else. It stays where there is no learner to receive it: until there is one, which may not want it.
+    pending: Option<Message>,
+}
+
+impl<L: ActorLink> Streaming<'_, L> {
+    /// Goes through the handshake and says which incarnation this is.
+    fn announce(&mut self, stop: Stop<'_>) -> Result<(), RunError> {
+        match self.link.hello(stop) {
+            Err(LinkError::Interrupted(_)) => return Ok(()),
+            done => done?,
+        }
+        let incarnation = self.worker.incarnation();
+        self.reply(incarnation.into(), JOINED, Vec::new())?;
+        tracing::info!(incarnation, "ready");
+        Ok(())
+    }
+
+    /// Takes orders over. Those of an earlier generation may come late; those of a later one are another learner's, who
+    /// knows nothing of this actor.
+    fn obey(&mut self, orders: Orders, stop: Stop<'_>) -> Result<(), RunError> {
+        if orders.generation < self.generation {
+            return Ok(());
+        }
+        if orders.generation > self.generation {
+            tracing::info!(generation = orders.generation, "another learner has come");
+            self.generation = orders.generation;
+            self.worker.begin(self.generation << 16);
+            (self.sent, self.played, self.pending) = (0, 0, None);
+            self.announce(stop)?;
+        }
+        self.orders = orders;
+        Ok(())
+    }
+
+    fn evaluating(&self) -> bool {
+        self.worker.index() == 0 && self.orders.evaluation > self.played
+    }
+
+    /// Whether there is something to do that needs no waiting.
+    fn has_work(&self) -> bool {
+        let granted = self.orders.granted(self.worker.index(), self.worker.incarnation());
+        self.pending.is_none() && (self.evaluating() || self.sent < granted)
+    }
+
+    /// Plays the evaluation, or collects the batch, that the orders want.
+    fn work(&mut self) -> Result<(), RunError> {
+        let evaluating = self.evaluating();
+        let Some((weights_version, acting)) = self.link.newest_weights(self.generation)? else {
+            // They are on their way, and new orders with them.
+            self.orders = Orders::default();
+            return Ok(());
+        };
+        let run = self.run;
+        if evaluating {
+            let (evaluation, amount) = (self.orders.evaluation - 1, self.orders.episodes);
+            let tick = Tick { run, weights_version, evaluation, kind: EVALUATE, amount, ..Tick::default() };
+            let payload = codec::encode(EVALUATION_KIND, &self.worker.evaluate(acting, &tick)?)?;
+            self.played = self.orders.evaluation;
+            return self.reply(weights_version, EVALUATION, payload);
+        }
+        let (env_steps, amount) = (self.orders.env_steps, self.rollout);
+        let tick = Tick { run, weights_version, env_steps, kind: COLLECT, amount, ..Tick::default() };
+        self.worker.collect(acting, &tick, &mut self.batch)?;
+        self.pending = Some(Message::Batch);
+        self.send()
+    }
+
+    fn reply(&mut self, tick: u64, kind: u32, payload: Vec<u8>) -> Result<(), RunError> {
+        let header = ReplyHeader { run: self.run, tick, actor: self.worker.index(), kind };
+        self.pending = Some(Message::Reply(Reply { header, payload }));
+        self.send()
+    }
+
+    /// Sends what is pending, if there is somebody to receive it.
+    fn send(&mut self) -> Result<(), RunError> {
+        let sent = match &self.pending {
+            None => return Ok(()),
+            Some(Message::Batch) => self.link.send_batch(&self.batch),
+            Some(Message::Reply(reply)) => self.link.send_reply(reply),
+        };
+        match sent {
+            // Tried again when the next wait is over.
+            Err(LinkError::Receivers { found: 0, .. }) => return Ok(()),
+            sent => sent?,
+        }
+        self.sent += u64::from(matches!(self.pending, Some(Message::Batch)));
+        self.pending = None;
+        Ok(())
+    }
 }

@@ -92,7 +92,7 @@ pub struct Worker {
     index: u32,
     /// Actors of the run.
     actors: u32,
-    /// How often this actor has been replaced.
+    /// See [`Worker::incarnation`].
     incarnation: u32,
     seed: u64,
     exploration: config::Exploration,
@@ -185,9 +185,16 @@ impl Worker {
         self.index
     }
 
-    /// How often this actor has been replaced, from 0.
+    /// What is counted together, in free mode: the number of the learner's start above that of the replacements of this
+    /// actor since.
     pub fn incarnation(&self) -> u32 {
         self.incarnation
+    }
+
+    /// Goes on as incarnation `incarnation`, at the beginning of an episode. The random streams go on.
+    pub fn begin(&mut self, incarnation: u32) {
+        (self.incarnation, self.seq, self.first) = (incarnation, 0, true);
+        self.env.reset(&mut self.environment, &mut self.obs);
     }
 
     /// Features of an observation.

@@ -230,7 +230,7 @@ impl Exchange for Sockets {
         let tick = learner.next(amount, publish)?;
         let fresh = tick.weights_version == tick.tick;
         let sizes: Vec<u32> = learner.plan.sizes().iter().map(|&n| n as u32).collect();
-        let header = WeightsHeader::new(learner.plan.run, tick.weights_version, &sizes, &learner.weights);
+        let header = WeightsHeader::new(learner.plan.run, 0, tick.weights_version, &sizes, &learner.weights);
         for actor in actors.iter_mut() {
             actor.write_all(bytes_of(&tick))?;
             if fresh {

@@ -152,6 +152,8 @@ fn until_closed(outcome: Result<()>) -> Result<()> {
 struct Ignorant;
 
 impl MentorHandler for Ignorant {
+    fn forget(&mut self) {}
+
     fn observe(&mut self, request: &ObserveRequest, _: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
         out.resize(request.count as usize, NONE);
         ObserveAnswer { first_index: request.first_index, count: request.count, ..ObserveAnswer::default() }

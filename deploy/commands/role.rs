@@ -155,11 +155,11 @@ pub(super) fn learner(args: &Role) -> Result<ExitCode> {
 pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
     let start = Start::new(args, "mentor-server")?;
     let demonstration = demo_file::read(&start.dir.demonstration())?;
-    let mut mentor = trestle_mentor_server::run::mentor_of(&start.plan, &demonstration)?;
     let mut link = IceoryxMentor::new(&start.domain, &start.plan)?;
-    match trestle_mentor_server::run::run(&mut link, &start.plan, &mut mentor, &start.stop()) {
+    match trestle_mentor_server::run::run(&mut link, &start.plan, &demonstration, &start.stop()) {
         Ok(()) => Ok(ExitCode::from(TOLD)),
-        Err(error) => unlinked(error),
+        Err(trestle_mentor_server::run::RunError::Link(error)) => unlinked(error),
+        Err(error) => Err(error.into()),
     }
 }
 

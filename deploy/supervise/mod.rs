@@ -111,7 +111,7 @@ fn final_error(prepared: &Prepared, death: &Death, reason: &str) -> Error {
 
 /// All processes once: until the run's end, or the first death, after which the run may continue.
 async fn attempt(
-    prepared: &Prepared,
+    prepared: &mut Prepared,
     signals: &mut Signals,
     display: &Display,
 ) -> Result<ControlFlow<Ended, Death>> {
@@ -122,7 +122,7 @@ async fn attempt(
     let (events, mut inbox) = mpsc::channel(64);
     let mut children = children::start_all(prepared, &events)?;
     let mut replacing = Replacing::new(prepared, &services, &events);
-    let outcome = watch(&mut children, &mut inbox, signals, display, prepared, &mut replacing).await;
+    let outcome = watch(&mut children, &mut inbox, signals, display, &mut replacing).await;
     stop_all(&mut children, &mut inbox).await;
     drop(services);
     drop(cleanup);
@@ -131,10 +131,11 @@ async fn attempt(
 
 /// What replaces single processes of a run in free mode.
 struct Replacing<'a> {
-    prepared: &'a Prepared,
+    prepared: &'a mut Prepared,
     services: &'a Services,
     events: &'a mpsc::Sender<Event>,
-    /// The processes that have died, each with its account and how often it has been replaced.
+    /// The processes that have died, each with its account and how often it has been replaced since the learner was
+    /// started last.
     accounts: Vec<(Role, Restarts, u16)>,
     /// Who is to be started anew, and when; nobody where only what the dead left is to be removed.
     due: Vec<(tokio::time::Instant, Option<Role>)>,
@@ -145,14 +146,28 @@ struct Replacing<'a> {
 }
 
 impl<'a> Replacing<'a> {
-    fn new(prepared: &'a Prepared, services: &'a Services, events: &'a mpsc::Sender<Event>) -> Self {
+    fn new(prepared: &'a mut Prepared, services: &'a Services, events: &'a mpsc::Sender<Event>) -> Self {
         let started = tokio::time::Instant::now();
         Self { prepared, services, events, accounts: Vec::new(), due: Vec::new(), started, stuck: None }
     }
 
-    /// Whether the others can go on without `role` until there is another.
-    fn replaces(&self, role: Role) -> bool {
-        role != Role::Learner && self.prepared.plan().config.run.mode == Mode::Free
+    /// Whether the others of `children` can go on without the process that has died until there is another.
+    fn replaces(&self, role: Role, how: &How, children: &[Child]) -> bool {
+        if self.prepared.plan().config.run.mode != Mode::Free {
+            return false;
+        }
+        if role != Role::Learner {
+            return true;
+        }
+        // One that fails by itself may have been brought to it by what the others hold or send, and would be again. And it
+        // needs all of them: some may have left already, at the run's end.
+        let failed = matches!(how, How::Exited(status) if status.code().is_some());
+        !failed && children.iter().all(|child| child.running || child.role == role || self.awaits(child.role))
+    }
+
+    /// Whether `role` is to be started anew.
+    fn awaits(&self, role: Role) -> bool {
+        self.due.iter().any(|(_, due)| *due == Some(role))
     }
 
     /// Plans the replacement of the process that has died, or says why there is to be none.
@@ -196,8 +211,8 @@ impl<'a> Replacing<'a> {
         }
     }
 
-    /// Starts those whose time has come.
-    fn start(&mut self, children: &mut [Child]) -> Result<()> {
+    /// Starts those whose time has come; returns whether the learner is one of them.
+    fn start(&mut self, children: &mut [Child]) -> Result<bool> {
         let now = tokio::time::Instant::now();
         // They need the dead ones' places among the services.
         if !self.reap() {
@@ -207,22 +222,30 @@ impl<'a> Replacing<'a> {
                 ));
             }
             self.due.iter_mut().for_each(|(at, _)| *at = (*at).max(now + RESTART_BACKOFF));
-            return Ok(());
+            return Ok(false);
         }
         self.stuck = None;
         let (now_due, later): (Vec<_>, _) = self.due.drain(..).partition(|(at, _)| *at <= now);
         self.due = later;
-        for role in now_due.into_iter().filter_map(|(_, role)| role) {
-            let account = self.accounts.iter_mut().find(|(of, ..)| *of == role);
+        let roles: Vec<Role> = now_due.into_iter().filter_map(|(_, role)| role).collect();
+        for role in &roles {
+            if *role == Role::Learner {
+                let newest = self.prepared.newest_checkpoint()?;
+                self.prepared.replace_learner(newest)?;
+                self.accounts.iter_mut().for_each(|(_, _, count)| *count = 0);
+            } else {
+                self.prepared.count_restart()?;
+            }
+            let account = self.accounts.iter_mut().find(|(of, ..)| of == role);
             let (_, _, count) = account.context("a process is to be replaced that has not died")?;
             *count = count.checked_add(1).with_context(|| format!("{role} has been replaced 65535 times"))?;
-            let child = children::start(self.prepared, role, *count, self.events)?;
-            if let Some(place) = children.iter_mut().find(|child| child.role == role) {
+            let child = children::start(self.prepared, *role, *count, self.events)?;
+            if let Some(place) = children.iter_mut().find(|child| child.role == *role) {
                 *place = child;
             }
             self.started = tokio::time::Instant::now();
         }
-        Ok(())
+        Ok(roles.contains(&Role::Learner))
     }
 }
 
@@ -272,7 +295,6 @@ async fn watch(
     inbox: &mut mpsc::Receiver<Event>,
     signals: &mut Signals,
     display: &Display,
-    prepared: &Prepared,
     replacing: &mut Replacing<'_>,
 ) -> Result<ControlFlow<Ended, Death>> {
     let (mut interrupted, mut began) = (false, false);
@@ -289,29 +311,40 @@ async fn watch(
         tokio::select! {
             _ = reap.tick() => drop(replacing.reap()),
             _ = beat.tick() => {
-                let deadlines = &prepared.plan().config.supervise;
+                let deadlines = &replacing.prepared.plan().config.supervise;
                 let mut living = children.iter_mut().filter(|c| c.running && c.fault.is_none());
-                if let Some((child, fault)) = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c, fault))) {
-                    if !replacing.replaces(child.role) {
-                        break Death::new(prepared.dir(), child.role, How::Lingering(fault));
+                let found = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c.role, fault)));
+                if let Some((role, fault)) = found {
+                    let how = How::Lingering(fault);
+                    if !replacing.replaces(role, &how, children) {
+                        break Death::new(replacing.prepared.dir(), role, how);
                     }
                     // Its end, which will be noticed in its turn, is what it is replaced after.
-                    child.fault = Some(fault);
-                    child.kill();
+                    for child in children.iter_mut().filter(|child| child.role == role) {
+                        child.fault = Some(fault);
+                        child.kill();
+                    }
                 }
             }
-            () = replacing.next() => replacing.start(children)?,
+            () = replacing.next() => {
+                // What a learner needs for an end in good order takes it a while to have.
+                began &= !replacing.start(children)?;
+            }
             () = signals.any() => {
                 if interrupted {
                     tracing::warn!("interrupted twice: stopping at once");
                     return Ok(ControlFlow::Break(Ended::Interrupted(None)));
                 }
                 interrupted = true;
+                if replacing.awaits(Role::Learner) {
+                    return Ok(ControlFlow::Break(Ended::Interrupted(None)));
+                }
                 display.say("interrupted: finishing the tick and saving; once more to stop at once");
                 children.iter().filter(|c| c.role == Role::Learner).for_each(Child::terminate);
             }
             () = &mut blame, if !consequences.is_empty() => {
-                if let Some(at) = consequences.iter().position(|death| !replacing.replaces(death.role)) {
+                let last = |death: &Death| !replacing.replaces(death.role, &death.how, children);
+                if let Some(at) = consequences.iter().position(last) {
                     break consequences.swap_remove(at);
                 }
                 for death in consequences.drain(..).filter(|_| !interrupted) {
@@ -322,7 +355,7 @@ async fn watch(
                 Some(Event::Progress(progress)) => {
                     if !began {
                         began = true;
-                        prepared.commit()?;
+                        replacing.prepared.commit()?;
                     }
                     display.update(&progress);
                 }
@@ -335,14 +368,15 @@ async fn watch(
                     let status = status.with_context(|| format!("cannot wait for {role}"))?;
                     if status.success() {
                         if role == Role::Learner {
-                            return Ok(ControlFlow::Break(ended(prepared)?));
+                            return Ok(ControlFlow::Break(ended(replacing.prepared)?));
                         }
                         continue;
                     }
                     let how = fault.map_or(How::Exited(status), How::Lingering);
-                    let death = Death::new(prepared.dir(), role, how);
+                    let death = Death::new(replacing.prepared.dir(), role, how);
                     if !death.is_consequence() {
-                        if !replacing.replaces(role) {
+                        let ending = interrupted && role == Role::Learner;
+                        if ending || !replacing.replaces(role, &death.how, children) {
                             break death;
                         }
                         // A run that is ending can do without it, and must learn that it is gone.
@@ -365,7 +399,7 @@ async fn watch(
     };
     match interrupted {
         true if !began => Ok(ControlFlow::Break(Ended::Interrupted(None))),
-        true => Err(final_error(prepared, &death, "the run was interrupted")),
+        true => Err(final_error(replacing.prepared, &death, "the run was interrupted")),
         false => Ok(ControlFlow::Continue(death)),
     }
 }

@@ -388,10 +388,20 @@ impl Prepared {
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(super) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
         check_shared_memory(Sizes::of(&self.plan).shared_memory_bytes())?;
-        self.plan.resume_tick = tick;
         self.plan.run = new_identity();
-        self.plan.restarts += 1;
+        self.replace_learner(tick)
+    }
+
+    /// Makes the directory ready for another learner, which goes on from checkpoint `tick` or from the beginning.
+    pub(super) fn replace_learner(&mut self, tick: Option<u64>) -> Result<()> {
+        self.plan.resume_tick = tick;
         self.plan.generation = next_generation(self.plan.generation)?;
+        self.count_restart()
+    }
+
+    /// Notes that one process more has been started again.
+    pub(super) fn count_restart(&mut self) -> Result<()> {
+        self.plan.restarts += 1;
         Ok(write_atomically(&self.dir.plan(), &self.plan.encode()?)?)
     }
 
@@ -508,9 +518,9 @@ fn move_aside(root: &Path) -> Result<PathBuf> {
     Ok(aside)
 }
 
-/// The number of the start after `generation`.
+/// The number of the learner's start after `generation`.
 fn next_generation(generation: u16) -> Result<u16> {
-    generation.checked_add(1).context("the run has been started 65536 times")
+    generation.checked_add(1).context("the learner has been started 65536 times")
 }
 
 /// An identity for the run's shared memory: 32 bits that no living run has; a clash is found when the domain is made.

@@ -78,7 +78,7 @@ pub fn run(
     .run()
 }
 
-/// Lets all processes in and makes the session, or the one that goes on from the plan's checkpoint.
+/// Lets the other processes in and makes the session, or the one that goes on from the plan's checkpoint.
 fn begin<'a>(
     link: &mut impl LearnerLink,
     plan: &'a RunPlan,
@@ -86,19 +86,31 @@ fn begin<'a>(
     stop: Stop<'_>,
     progress: impl FnMut(&Progress) + 'a,
 ) -> Result<Resumed<'a>, RunError> {
-    link.welcome(stop)?;
-    let mentor = if plan.mentor_len() > 0 { Some(fetch_transitions(link, plan)?) } else { None };
+    let free = plan.config.run.mode == Mode::Free;
+    let mentor = loop {
+        link.welcome(stop)?;
+        if plan.mentor_len() == 0 {
+            break None;
+        }
+        match fetch_transitions(link, plan) {
+            Err(RunError::Link(error)) if free && error.is_lost_peer() => {
+                tracing::warn!("the mentor-server is lost: {error}");
+            }
+            transitions => break Some(transitions?),
+        }
+    };
     let resumed = match plan.resume_tick {
         None => Resumed { session: Session::new(plan, dir, mentor, progress)?, behaviour: None },
         Some(tick) => {
             let resumed = Session::resume(plan, dir, tick, mentor, progress)?;
-            if plan.mentor_len() > 0 {
+            if plan.mentor_len() > 0 && !free {
                 rebuild_mentor(link, plan, &resumed.session)?;
             }
             resumed
         }
     };
-    tracing::info!(tick = resumed.session.tick(), "all processes are ready");
+    // In free mode the actors come when they like.
+    tracing::info!(tick = resumed.session.tick(), "ready to train");
     Ok(resumed)
 }
 

@@ -25,7 +25,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 3 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 4 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -83,8 +83,6 @@ pub struct Session<'a> {
     solved_by: Option<Counters>,
     /// Free mode: what has been counted of each incarnation of the actors.
     actors: Vec<ActorRow>,
-    /// Free mode: processes that have been replaced.
-    replaced: u64,
     /// Free mode: since the last interval row.
     staleness: Staleness,
     /// Training since the last interval row.
@@ -104,7 +102,6 @@ struct State {
     evaluated_at: Counters,
     solved_by: Option<Counters>,
     actors: Vec<ActorRow>,
-    replaced: u64,
     /// The guide that the actors act with in the next tick, where it is not the agent's newest.
     guide: Vec<f32>,
 }
@@ -138,7 +135,6 @@ impl<'a> Session<'a> {
             evaluated_at: Counters::default(),
             solved_by: None,
             actors: Vec::new(),
-            replaced: 0,
             staleness: Staleness::default(),
             stats: TrainStats::default(),
             waited: Duration::ZERO,
@@ -171,7 +167,6 @@ impl<'a> Session<'a> {
             evaluated_at: state.evaluated_at,
             solved_by: state.solved_by,
             actors: state.actors,
-            replaced: state.replaced,
             staleness: Staleness::default(),
             stats: TrainStats::default(),
             waited: Duration::ZERO,
@@ -253,19 +248,12 @@ impl<'a> Session<'a> {
     /// there was one, remains unfinished.
     pub fn joined(&mut self, actor: u32, incarnation: u32) {
         self.agent.abandon_episode(actor);
-        // Those that are started with the run are numbered from a multiple of 2^16 on.
-        self.replaced += u64::from(incarnation.trailing_zeros() < 16);
         self.actors.push(ActorRow { actor, incarnation, ..ActorRow::default() });
     }
 
     /// Free mode: begins a round that has no steps.
     pub fn skip_round(&mut self) {
         self.tick += 1;
-    }
-
-    /// Free mode: the mentor-server has been replaced.
-    pub fn mentor_replaced(&mut self) {
-        self.replaced += 1;
     }
 
     /// Free mode: counts a batch of the actor that has come last under its index, `env_steps` transitions of which have
@@ -394,7 +382,6 @@ impl<'a> Session<'a> {
             evaluated_at: self.evaluated_at,
             solved_by: self.solved_by,
             actors: self.actors.clone(),
-            replaced: self.replaced,
             guide: guide.unwrap_or_default().to_vec(),
         };
         let run = codec::encode(KIND, &state)?;
@@ -411,7 +398,9 @@ impl<'a> Session<'a> {
         self.show_progress();
         self.write_tables()?;
         let gauges = self.gauges();
-        let restarts = self.plan.restarts + self.replaced;
+        // In free mode the supervisor has counted since how many processes it has replaced.
+        let newest = if self.plan.config.run.mode == Mode::Free { self.dir.read_plan().ok() } else { None };
+        let restarts = newest.map_or(self.plan.restarts, |plan| plan.restarts);
         let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted };
         Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
     }

@@ -25,18 +25,32 @@ pub fn mentor_of(plan: &RunPlan, demonstration: &Demonstration) -> Result<Mentor
     Mentor::new(demonstration, &config.mentor, algo, &plan.spec, config.learner.replay, seed)
 }
 
-/// Serves the clients at the other end of `link` from `mentor` until `stop` says so.
+/// What ends the mentor-server's process early.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The other processes.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// Settings that do not meet the demonstration.
+    #[error(transparent)]
+    Mentor(#[from] MentorError),
+}
+
+/// Serves the clients at the other end of `link` from a mentor of `demonstration` until `stop` says so.
 ///
 /// # Errors
-/// The transport fails. A request that cannot be right is answered with its fault and does no harm.
+/// Settings that do not meet the demonstration, or the transport fails. A request that cannot be right is answered with
+/// its fault and does no harm.
 pub fn run(
     link: &mut impl MentorLink,
     plan: &RunPlan,
-    mentor: &mut Mentor,
+    demonstration: &Demonstration,
     stop: Stop<'_>,
-) -> Result<(), LinkError> {
+) -> Result<(), RunError> {
     let mut server = Server {
-        mentor,
+        mentor: mentor_of(plan, demonstration)?,
+        plan,
+        demonstration,
         obs_dim: plan.spec.obs_dim(),
         n_actions: plan.spec.n_actions(),
         batch: Batch::default(),
@@ -54,7 +68,9 @@ pub fn run(
 }
 
 struct Server<'a> {
-    mentor: &'a mut Mentor,
+    mentor: Mentor,
+    plan: &'a RunPlan,
+    demonstration: &'a Demonstration,
     obs_dim: usize,
     n_actions: usize,
     batch: Batch,
@@ -138,6 +154,14 @@ fn refuse(error: &MentorError) -> u32 {
 }
 
 impl MentorHandler for Server<'_> {
+    fn forget(&mut self) {
+        match mentor_of(self.plan, self.demonstration) {
+            Ok(mentor) => self.mentor = mentor,
+            // The one there is came of the same.
+            Err(error) => tracing::error!("{error}"),
+        }
+    }
+
     fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
         logging::set_tick(request.tick);
         let first_index = request.first_index;

@@ -23,7 +23,7 @@ pub struct Share {
 /// Orders as they travel, the same to every actor; plain numbers only, so that no bit pattern is invalid.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.Orders.v1")]
+#[type_name("trestle.Orders.v2")]
 pub struct Orders {
     /// Identity of the run.
     pub run: u64,
@@ -36,6 +36,11 @@ pub struct Orders {
     pub episodes: u32,
     /// 1: every actor leaves.
     pub stop: u32,
+    /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]). The first orders of a later one than
+    /// before mean that the learner has been replaced: it knows of no actor before that has announced itself anew.
+    pub generation: u32,
+    /// 0.
+    pub reserved: u32,
     /// Each actor's share, by its index.
     pub shares: [Share; MAX_ACTORS as usize],
 }

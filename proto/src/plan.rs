@@ -25,10 +25,9 @@ pub struct RunPlan {
     pub waypoints: Option<Waypoints>,
     /// Checkpoint to go on from, as the number of its tick.
     pub resume_tick: Option<u64>,
-    /// How many times the run has been started again after the death of one of its processes.
+    /// How many times the run, or in free mode one of its processes, has been started again after the death of a process.
     pub restarts: u64,
-    /// How many times the run's processes have been started, all of them, before this plan's: the upper half of the
-    /// incarnations in free mode.
+    /// How many times the learner has been started before: the upper half of the incarnations in free mode.
     pub generation: u16,
 }
 

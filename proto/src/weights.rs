@@ -9,12 +9,16 @@ use iceoryx2::prelude::ZeroCopySend;
 /// What is sent beside the weights.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.WeightsHeader.v1")]
+#[type_name("trestle.WeightsHeader.v2")]
 pub struct WeightsHeader {
     /// Identity of the run.
     pub run: u64,
-    /// The tick after which these weights stood; 0 for the initial ones.
+    /// The tick, in free mode the round, after which these weights stood; 0 for the initial ones.
     pub version: u64,
+    /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]).
+    pub generation: u32,
+    /// 0.
+    pub reserved: u32,
     /// CRC-32C of the payload's bytes.
     pub checksum: u32,
     /// How many of `sizes` are used.
@@ -64,8 +68,9 @@ pub enum WeightsError {
 
 impl WeightsHeader {
     /// The header of `weights`, of a network with `sizes` (at most [`MAX_SIZES`]).
-    pub fn new(run: u64, version: u64, sizes: &[u32], weights: &[f32]) -> Self {
-        let mut header = Self { run, version, n_sizes: sizes.len() as u32, ..Self::default() };
+    pub fn new(run: u64, generation: u16, version: u64, sizes: &[u32], weights: &[f32]) -> Self {
+        let (generation, n_sizes) = (generation.into(), sizes.len() as u32);
+        let mut header = Self { run, version, generation, n_sizes, ..Self::default() };
         header.sizes[..sizes.len()].copy_from_slice(sizes);
         header.checksum = crc32c::crc32c(cast_slice(weights));
         header
@@ -107,7 +112,7 @@ mod tests {
     fn a_flipped_bit_is_found() {
         let sizes = [1, 2];
         let mut weights = [0.5, -1.0, 2.0, 3.0];
-        let header = WeightsHeader::new(9, 4, &sizes, &weights);
+        let header = WeightsHeader::new(9, 0, 4, &sizes, &weights);
         let mut into = [0.0; 4];
         assert_eq!(header.receive(9, &sizes, &weights, &mut into), Ok(()));
         assert_eq!(into, weights);

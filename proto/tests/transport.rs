@@ -89,6 +89,8 @@ fn act(mut link: impl ActorLink, index: u32) {
 struct Canned;
 
 impl MentorHandler for Canned {
+    fn forget(&mut self) {}
+
     fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
         let mut batch = Batch::default();
         let header = BatchHeader { count: request.count, obs_dim: request.obs_dim, ..Default::default() };

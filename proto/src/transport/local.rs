@@ -53,6 +53,7 @@ pub struct LocalActor {
 /// The learner over channels.
 pub struct LocalLearner {
     run: u64,
+    generation: u16,
     sizes: Vec<u32>,
     obs_dim: usize,
     n_actions: usize,
@@ -93,6 +94,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         .collect();
     let learner = LocalLearner {
         run: plan.run,
+        generation: plan.generation,
         sizes,
         obs_dim: plan.spec.obs_dim(),
         n_actions: plan.spec.n_actions(),
@@ -116,6 +118,17 @@ fn waited<T>(result: Result<T, RecvTimeoutError>, what: &'static str) -> Result<
         Ok(message) => Ok(Some(message)),
         Err(RecvTimeoutError::Timeout) => Ok(None),
         Err(RecvTimeoutError::Disconnected) => Err(gone(what)),
+    }
+}
+
+impl LocalActor {
+    /// Takes over the newest weights; returns their generation and version.
+    fn update_weights(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
+        let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some((header, weights)) = newest.as_ref() else { return Ok(None) };
+        self.copy.resize(weights.len(), 0.0);
+        header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
+        Ok(Some((header.generation, header.version)))
     }
 }
 
@@ -145,18 +158,15 @@ impl ActorLink for LocalActor {
         Ok(Some(orders))
     }
 
-    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError> {
-        let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some((header, weights)) = newest.as_ref() else { return Ok(None) };
-        self.copy.resize(weights.len(), 0.0);
-        header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
-        Ok(Some((header.version, &self.copy)))
+    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
+        let newest = self.update_weights()?.filter(|(of, _)| *of == generation);
+        Ok(newest.map(|(_, version)| (version, &*self.copy)))
     }
 
     fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
-        match self.newest_weights()? {
-            Some((found, weights)) if found == version => Ok(weights),
-            Some((found, _)) => Err(WeightsError::Version { found, expected: version }.into()),
+        match self.update_weights()? {
+            Some((_, found)) if found == version => Ok(&self.copy),
+            Some((_, found)) => Err(WeightsError::Version { found, expected: version }.into()),
             None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
         }
     }
@@ -178,7 +188,7 @@ impl LearnerLink for LocalLearner {
     }
 
     fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
-        let header = WeightsHeader::new(self.run, version, &self.sizes, weights);
+        let header = WeightsHeader::new(self.run, self.generation, version, &self.sizes, weights);
         *self.weights.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, weights.to_vec()));
         Ok(())
     }

@@ -104,7 +104,8 @@ pub type Stop<'a> = &'a dyn Fn() -> bool;
 
 /// An actor's side.
 pub trait ActorLink {
-    /// Announces this actor until the learner has answered; nothing is sent before.
+    /// Announces this actor until the learner has answered; nothing is sent before. Once more after a learner has been
+    /// replaced.
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// The next tick, if one comes within `timeout`.
     fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError>;
@@ -112,8 +113,9 @@ pub trait ActorLink {
     fn weights(&mut self, version: u64) -> Result<&[f32], LinkError>;
     /// The newest orders, if others than those before come within `timeout`; free mode only.
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
-    /// The newest published weights, checked, and their version; none if none have come yet.
-    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError>;
+    /// The newest published weights, checked, and their version; none if none of the learner's start `generation` have
+    /// come yet.
+    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.
@@ -132,7 +134,8 @@ pub enum FromActor {
 /// The learner's side. In free mode a message to the actors may miss those that have just died: the next ones get the
 /// newest weights and orders when they come.
 pub trait LearnerLink {
-    /// Waits until every actor, and the mentor-server if the run has one, has announced itself.
+    /// Waits until every actor, and the mentor-server if the run has one, has announced itself; in free mode for the
+    /// mentor-server alone, for as long as it takes: actors may come at any time.
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// Publishes weights; the actors see the newest only.
     fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError>;
@@ -166,6 +169,8 @@ pub trait LearnerLink {
 
 /// What answers the mentor-server's requests.
 pub trait MentorHandler {
+    /// Another learner has taken the former one's place: what it had been told does not count any more.
+    fn forget(&mut self);
     /// Carries `request` out; appends the answer's payload to `out`, which is empty.
     fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer;
     /// Answers `request`; appends the answer's payload to `out`, which is empty.
@@ -176,6 +181,7 @@ pub trait MentorHandler {
 pub trait MentorLink {
     /// Announces itself until the learner has answered, answering requests meanwhile.
     fn hello(&mut self, handler: &mut dyn MentorHandler, stop: Stop<'_>) -> Result<(), LinkError>;
-    /// Answers what has come, or the first that comes within `timeout`; returns how many were answered.
+    /// Answers what has come, or the first that comes within `timeout`; returns how many were answered. In free mode
+    /// another learner may call meanwhile: then `handler` forgets, and is let in anew.
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError>;
 }

@@ -28,8 +28,8 @@ const REPLY_BYTES: usize = 4096;
 pub struct IceoryxActor {
     index: usize,
     weights: Subscriber<Ipc, [f32], WeightsHeader>,
-    /// Version of the weights received last, and they themselves, kept because a tick may name them again.
-    newest: Option<u64>,
+    /// Generation and version of the newest weights received, and they themselves, kept because a tick may name them again.
+    newest: Option<(u32, u64)>,
     copy: Vec<f32>,
     ticks: Subscriber<Ipc, Tick, ()>,
     /// In free mode.
@@ -117,9 +117,13 @@ impl IceoryxActor {
     fn update_weights(&mut self) -> Result<(), LinkError> {
         while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
             let header = *sample.user_header();
+            // What a learner published before it died may come after its successor's.
+            if self.newest.is_some_and(|(generation, _)| generation > header.generation) {
+                continue;
+            }
             let (run, network) = (self.services.run, &self.services.sizes.network);
             header.receive(run, network, sample.payload(), &mut self.copy)?;
-            self.newest = Some(header.version);
+            self.newest = Some((header.generation, header.version));
         }
         Ok(())
     }
@@ -128,6 +132,8 @@ impl IceoryxActor {
 impl ActorLink for IceoryxActor {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
         let start = Instant::now();
+        // A welcome of before is not meant.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
         let mut welcome = false;
         while !welcome {
             if stop() {
@@ -166,16 +172,19 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_orders())
     }
 
-    fn newest_weights(&mut self) -> Result<Option<(u64, &[f32])>, LinkError> {
+    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
         self.update_weights()?;
-        Ok(self.newest.map(|version| (version, &*self.copy)))
+        let newest = self.newest.filter(|(of, _)| *of == generation);
+        Ok(newest.map(|(_, version)| (version, &*self.copy)))
     }
 
     fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
         self.update_weights()?;
         match self.newest {
-            Some(found) if found == version => Ok(&self.copy),
-            Some(found) => Err(crate::weights::WeightsError::Version { found, expected: version }.into()),
+            Some((_, found)) if found == version => Ok(&self.copy),
+            Some((_, found)) => {
+                Err(crate::weights::WeightsError::Version { found, expected: version }.into())
+            }
             None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
         }
     }

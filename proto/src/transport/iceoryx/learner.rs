@@ -38,6 +38,7 @@ pub struct IceoryxLearner {
     actors: Notifier<Ipc>,
     mentor: Notifier<Ipc>,
     mentor_waits: bool,
+    generation: u16,
     services: Services,
 }
 
@@ -91,6 +92,7 @@ impl IceoryxLearner {
             actors: wake::notifier(&services.wake_actors)?,
             mentor: wake::notifier(&services.wake_mentor)?,
             mentor_waits: false,
+            generation: plan.generation,
             services,
         })
     }
@@ -105,7 +107,8 @@ impl IceoryxLearner {
         self.ticks.update_connections().map_err(failed("mapping an actor"))
     }
 
-    /// Waits until each of `missing` has announced itself, `patience` at the most, and maps all peers.
+    /// Waits until each of `missing` has announced itself, `patience` at the most, and maps all peers. In free mode it calls
+    /// the mentor-server, which may have been let in by another learner before.
     fn let_in(
         &mut self,
         mut missing: Vec<usize>,
@@ -113,9 +116,13 @@ impl IceoryxLearner {
         stop: Stop<'_>,
     ) -> Result<(), LinkError> {
         let start = Instant::now();
+        let mut calling = self.orders.is_some();
         while !missing.is_empty() {
             if stop() {
                 return Err(LinkError::Interrupted("actors and mentor-server"));
+            }
+            if calling {
+                wake::notify(&self.mentor, wake::ROLL_CALL)?;
             }
             if start.elapsed() > patience {
                 let name = |p: &usize| {
@@ -135,6 +142,7 @@ impl IceoryxLearner {
                 _ => {}
             })?;
             for peer in hello {
+                calling &= peer != MENTOR_PEER;
                 self.answer_hello(peer)?;
             }
         }
@@ -214,10 +222,14 @@ impl IceoryxLearner {
 
 impl LearnerLink for IceoryxLearner {
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
-        let mut missing: Vec<usize> = (0..self.services.sizes.actors).collect();
+        let mut missing: Vec<usize> = Vec::new();
         if self.services.sizes.mentor_len > 0 {
             missing.push(MENTOR_PEER);
         }
+        if self.orders.is_some() {
+            return self.let_in(missing, Duration::MAX, stop);
+        }
+        missing.extend(0..self.services.sizes.actors);
         self.let_in(missing, HANDSHAKE, stop)
     }
 
@@ -243,7 +255,8 @@ impl LearnerLink for IceoryxLearner {
             .map_err(failed("loaning memory for weights"))?
             .write_from_slice(weights);
         let sizes = &self.services.sizes;
-        *sample.user_header_mut() = WeightsHeader::new(self.services.run, version, &sizes.network, weights);
+        *sample.user_header_mut() =
+            WeightsHeader::new(self.services.run, self.generation, version, &sizes.network, weights);
         let found = sample.send().map_err(failed("sending weights"))?;
         if self.orders.is_some() { Ok(()) } else { delivered("a set of weights", found, sizes.actors) }
     }

@@ -65,6 +65,25 @@ impl IceoryxMentor {
         })
     }
 
+    /// Sleeps until notified or until `timeout` is over; the learner may let this process in meanwhile, or another one may
+    /// want it to forget and to announce itself anew.
+    fn sleep(&mut self, timeout: Duration, handler: &mut dyn MentorHandler) -> Result<(), LinkError> {
+        let (mut welcome, mut called) = (false, false);
+        wake::sleep(&self.listener, timeout, |event| {
+            welcome |= event == wake::WELCOME + MENTOR_PEER;
+            called |= event == wake::ROLL_CALL;
+        })?;
+        if self.welcome && called {
+            self.welcome = false;
+            handler.forget();
+            tracing::info!("another learner has come");
+        } else if !self.welcome && welcome {
+            self.welcome = true;
+            wake::notify(&self.learner, wake::READY + MENTOR_PEER)?;
+        }
+        Ok(())
+    }
+
     /// Answers everything that has come.
     fn answer_all(&mut self, handler: &mut dyn MentorHandler) -> Result<usize, LinkError> {
         let mut answered = 0;
@@ -86,7 +105,10 @@ impl IceoryxMentor {
                 .map_err(failed("loaning memory for an answer"))?
                 .write_from_slice(&self.answer);
             *sending.user_header_mut() = answer;
-            sending.send().map_err(failed("answering on mentor/observe"))?;
+            // A learner that is gone is the supervisor's affair, and in free mode another will come.
+            if let Err(e) = sending.send() {
+                tracing::warn!("an answer on mentor/observe was not delivered: {e}");
+            }
             wake::notify(&self.learner, wake::DATA)?;
             answered += 1;
         }
@@ -136,23 +158,29 @@ impl MentorLink for IceoryxMentor {
             wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
             // Before the welcome that may have come: what was asked until then was meant for another.
             self.answer_all(handler)?;
-            let welcome = &mut self.welcome;
-            wake::sleep(&self.listener, HELLO_INTERVAL, |event| {
-                *welcome |= event == wake::WELCOME + MENTOR_PEER;
-            })?;
+            self.sleep(HELLO_INTERVAL, handler)?;
         }
-        wake::notify(&self.learner, wake::READY + MENTOR_PEER)
+        Ok(())
     }
 
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
         let start = Instant::now();
+        if self.services.orders.is_some() {
+            // Whoever is always busy must hear another learner's call, too.
+            self.sleep(Duration::ZERO, handler)?;
+        }
         loop {
             let answered = self.answer_all(handler)?;
             let left = timeout.saturating_sub(start.elapsed());
             if answered > 0 || left.is_zero() {
                 return Ok(answered);
             }
-            wake::sleep(&self.listener, left, |_| {})?;
+            if self.welcome {
+                self.sleep(left, handler)?;
+            } else {
+                wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
+                self.sleep(left.min(HELLO_INTERVAL), handler)?;
+            }
         }
     }
 }

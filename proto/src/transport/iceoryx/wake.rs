@@ -21,6 +21,9 @@ pub(super) const WELCOME: usize = 1;
 pub(super) const HELLO: usize = 66;
 /// Peer `i` has mapped the learner's memory: `READY + i`.
 pub(super) const READY: usize = 131;
+/// A learner asks the mentor-server to announce itself. After every welcome in number: whoever takes both at once has been
+/// let in since.
+pub(super) const ROLL_CALL: usize = 196;
 /// A notifier came.
 pub(super) const CREATED: usize = 252;
 /// A notifier went.
