@@ -1,30 +1,31 @@
 //! The loop of an actor's process in free mode: send batches for as long as the learner's orders allow, with the newest
 //! weights. A learner may die and another take its place meanwhile: then the actor announces itself anew.
 
-use crate::run::{Left, RunError};
+use crate::run::RunError;
 use crate::worker::Worker;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec;
-use trestle_proto::limits::WAIT_SLICE;
+use trestle_proto::limits::{HANDSHAKE, WAIT_SLICE};
 use trestle_proto::orders::Orders;
 use trestle_proto::pulse;
 use trestle_proto::reply::{EVALUATION, EVALUATION_KIND, JOINED, Reply, ReplyHeader};
 use trestle_proto::tick::{COLLECT, EVALUATE, Tick};
 use trestle_proto::transport::{ActorLink, LinkError, Stop};
 
-/// Streams batches of `rollout` steps of run `run` to the learner at the other end of `link`, until its orders or `stop`
-/// say that the run is over. That there is no learner for a while is no error.
+/// Streams batches of `rollout` steps of run `run` to the learner at the other end of `link`, until `stop` says so. That
+/// there is no learner for a while is no error.
 ///
 /// # Errors
-/// A message that cannot be right, a transport or an environment that fails.
+/// A message that cannot be right, a transport or an environment that fails, or a learner that gives orders but cannot be
+/// reached.
 pub fn stream(
     link: &mut impl ActorLink,
     worker: &mut Worker,
     run: u64,
     rollout: u32,
     stop: Stop<'_>,
-) -> Result<Left, RunError> {
+) -> Result<(), RunError> {
     let mut actor = Streaming {
         run,
         rollout,
@@ -34,27 +35,23 @@ pub fn stream(
         played: 0,
         batch: Batch::with_capacity(rollout as usize, worker.obs_dim()),
         pending: None,
+        unreachable: None,
         link,
         worker,
     };
     actor.announce(stop)?;
     while !stop() {
         pulse::step();
+        actor.send()?;
         let timeout = if actor.has_work() { Duration::ZERO } else { WAIT_SLICE };
         if let Some(newest) = actor.link.recv_orders(timeout)? {
-            if newest.stop == 1 {
-                tracing::info!("the run is over");
-                return Ok(Left::Stopped);
-            }
             actor.obey(newest, stop)?;
-        } else if actor.pending.is_some() {
-            actor.send()?;
         } else if actor.has_work() {
             actor.work()?;
         }
     }
     tracing::info!("told to leave");
-    Ok(Left::Told)
+    Ok(())
 }
 
 /// What is to be sent.
@@ -80,6 +77,8 @@ struct Streaming<'a, L> {
     batch: Batch,
     /// Goes before all else. It stays where there is no learner to receive it: until there is one, which may not want it.
     pending: Option<Message>,
+    /// Since when nobody receives what is pending.
+    unreachable: Option<Instant>,
 }
 
 impl<L: ActorLink> Streaming<'_, L> {
@@ -90,7 +89,7 @@ impl<L: ActorLink> Streaming<'_, L> {
             done => done?,
         }
         let incarnation = self.worker.incarnation();
-        self.reply(incarnation.into(), JOINED, Vec::new())?;
+        self.reply(incarnation.into(), JOINED, Vec::new());
         tracing::info!(incarnation, "ready");
         Ok(())
     }
@@ -105,10 +104,19 @@ impl<L: ActorLink> Streaming<'_, L> {
             tracing::info!(generation = orders.generation, "another learner has come");
             self.generation = orders.generation;
             self.worker.begin(self.generation << 16);
-            (self.sent, self.played, self.pending) = (0, 0, None);
+            (self.sent, self.played, self.pending, self.unreachable) = (0, 0, None, None);
             self.announce(stop)?;
+        } else if self.unreachable.is_some_and(|since| since.elapsed() > HANDSHAKE) {
+            // The learner lives.
+            return Err(LinkError::Receivers { what: "a message", found: 0, expected: 1 }.into());
         }
-        self.orders = orders;
+        if orders.stop == 1 {
+            // The learner may still die before its result is written: another one would need this actor.
+            tracing::info!("the run is over");
+            (self.orders, self.pending) = (Orders::default(), None);
+        } else {
+            self.orders = orders;
+        }
         Ok(())
     }
 
@@ -136,19 +144,19 @@ impl<L: ActorLink> Streaming<'_, L> {
             let tick = Tick { run, weights_version, evaluation, kind: EVALUATE, amount, ..Tick::default() };
             let payload = codec::encode(EVALUATION_KIND, &self.worker.evaluate(acting, &tick)?)?;
             self.played = self.orders.evaluation;
-            return self.reply(weights_version, EVALUATION, payload);
+            self.reply(weights_version, EVALUATION, payload);
+            return Ok(());
         }
         let (env_steps, amount) = (self.orders.env_steps, self.rollout);
         let tick = Tick { run, weights_version, env_steps, kind: COLLECT, amount, ..Tick::default() };
         self.worker.collect(acting, &tick, &mut self.batch)?;
         self.pending = Some(Message::Batch);
-        self.send()
+        Ok(())
     }
 
-    fn reply(&mut self, tick: u64, kind: u32, payload: Vec<u8>) -> Result<(), RunError> {
+    fn reply(&mut self, tick: u64, kind: u32, payload: Vec<u8>) {
         let header = ReplyHeader { run: self.run, tick, actor: self.worker.index(), kind };
         self.pending = Some(Message::Reply(Reply { header, payload }));
-        self.send()
     }
 
     /// Sends what is pending, if there is somebody to receive it.
@@ -159,10 +167,14 @@ impl<L: ActorLink> Streaming<'_, L> {
             Some(Message::Reply(reply)) => self.link.send_reply(reply),
         };
         match sent {
-            // Tried again when the next wait is over.
-            Err(LinkError::Receivers { found: 0, .. }) => return Ok(()),
+            // Tried again after the next wait.
+            Err(LinkError::Receivers { found: 0, .. }) => {
+                self.unreachable.get_or_insert_with(Instant::now);
+                return Ok(());
+            }
             sent => sent?,
         }
+        self.unreachable = None;
         self.sent += u64::from(matches!(self.pending, Some(Message::Batch)));
         self.pending = None;
         Ok(())

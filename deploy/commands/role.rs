@@ -125,6 +125,7 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
     let rollout = start.plan.config.run.rollout;
     let left = if free {
         trestle_actor::stream::stream(&mut link, &mut worker, start.plan.run, rollout, &start.stop())
+            .map(|()| Left::Told)
     } else {
         trestle_actor::run::run(&mut link, &mut worker, rollout as usize, &start.stop())
     };

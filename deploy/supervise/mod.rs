@@ -20,9 +20,11 @@ use anyhow::{Context, Error, Result, anyhow};
 use children::{Child, Death, How, Role, log_tail};
 use display::Display;
 pub(crate) use hold::HeldSignals;
+use nix::libc::{SIGBUS, SIGKILL};
 use prepare::Prepared;
 use restarts::{Restarts, Verdict};
 use std::ops::ControlFlow;
+use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 use std::time::Instant;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -137,8 +139,8 @@ struct Replacing<'a> {
     /// The processes that have died, each with its account and how often it has been replaced since the learner was
     /// started last.
     accounts: Vec<(Role, Restarts, u16)>,
-    /// Who is to be started anew, and when; nobody where only what the dead left is to be removed.
-    due: Vec<(tokio::time::Instant, Option<Role>)>,
+    /// After which deaths somebody is to be started anew, and when; none where only what the dead left is to be removed.
+    due: Vec<(tokio::time::Instant, Option<Death>)>,
     /// When a process was started last.
     started: tokio::time::Instant,
     /// Since when what the dead left cannot be removed.
@@ -151,23 +153,30 @@ impl<'a> Replacing<'a> {
         Self { prepared, services, events, accounts: Vec::new(), due: Vec::new(), started, stuck: None }
     }
 
-    /// Whether the others of `children` can go on without the process that has died until there is another.
-    fn replaces(&self, role: Role, how: &How, children: &[Child]) -> bool {
-        if self.prepared.plan().config.run.mode != Mode::Free {
-            return false;
+    /// Whether the others can go on without the process that has died until there is another.
+    fn replaces(&self, role: Role, how: &How) -> bool {
+        let signal = match how {
+            How::Exited(status) => status.signal(),
+            How::Lingering(_) => Some(SIGKILL),
+        };
+        match (self.prepared.plan().config.run.mode, role, signal) {
+            // There may be no shared memory left for what it does, and a start of all looks for that first.
+            (Mode::Free, _, Some(SIGBUS)) => false,
+            // A learner that fails by itself may have been brought to it by what the others hold or send.
+            (Mode::Free, Role::Learner, signal) => signal.is_some(),
+            (Mode::Free, ..) => true,
+            _ => false,
         }
-        if role != Role::Learner {
-            return true;
-        }
-        // One that fails by itself may have been brought to it by what the others hold or send, and would be again. And it
-        // needs all of them: some may have left already, at the run's end.
-        let failed = matches!(how, How::Exited(status) if status.code().is_some());
-        !failed && children.iter().all(|child| child.running || child.role == role || self.awaits(child.role))
     }
 
-    /// Whether `role` is to be started anew.
-    fn awaits(&self, role: Role) -> bool {
-        self.due.iter().any(|(_, due)| *due == Some(role))
+    /// Whether the learner is to be started anew.
+    fn awaits_learner(&self) -> bool {
+        self.deaths().any(|death| death.role == Role::Learner)
+    }
+
+    /// The deaths after which somebody is to be started anew.
+    fn deaths(&self) -> impl Iterator<Item = &Death> {
+        self.due.iter().filter_map(|(_, death)| death.as_ref())
     }
 
     /// Plans the replacement of the process that has died, or says why there is to be none.
@@ -188,7 +197,7 @@ impl<'a> Replacing<'a> {
         let said = format!("{death}; replacing it");
         display.say(&said);
         self.prepared.note(&said);
-        self.due.push((tokio::time::Instant::now() + pause, Some(death.role)));
+        self.due.push((tokio::time::Instant::now() + pause, Some(death.clone())));
         Ok(())
     }
 
@@ -225,27 +234,36 @@ impl<'a> Replacing<'a> {
             return Ok(false);
         }
         self.stuck = None;
-        let (now_due, later): (Vec<_>, _) = self.due.drain(..).partition(|(at, _)| *at <= now);
-        self.due = later;
-        let roles: Vec<Role> = now_due.into_iter().filter_map(|(_, role)| role).collect();
-        for role in &roles {
-            if *role == Role::Learner {
-                let newest = self.prepared.newest_checkpoint()?;
-                self.prepared.replace_learner(newest)?;
-                self.accounts.iter_mut().for_each(|(_, _, count)| *count = 0);
-            } else {
-                self.prepared.count_restart()?;
+        let mut learner = false;
+        while let Some(at) = self.due.iter().position(|(at, _)| *at <= now) {
+            // Kept until it is done: if it cannot be, the run may begin anew.
+            if let Some(role) = self.due[at].1.as_ref().map(|death| death.role) {
+                self.replace(role, children)?;
+                learner |= role == Role::Learner;
             }
-            let account = self.accounts.iter_mut().find(|(of, ..)| of == role);
-            let (_, _, count) = account.context("a process is to be replaced that has not died")?;
-            *count = count.checked_add(1).with_context(|| format!("{role} has been replaced 65535 times"))?;
-            let child = children::start(self.prepared, *role, *count, self.events)?;
-            if let Some(place) = children.iter_mut().find(|child| child.role == *role) {
-                *place = child;
-            }
-            self.started = tokio::time::Instant::now();
+            self.due.swap_remove(at);
         }
-        Ok(roles.contains(&Role::Learner))
+        Ok(learner)
+    }
+
+    fn replace(&mut self, role: Role, children: &mut [Child]) -> Result<()> {
+        if role == Role::Learner {
+            let newest = self.prepared.newest_checkpoint()?;
+            self.prepared.replace_learner(newest)?;
+            self.accounts.iter_mut().for_each(|(_, _, count)| *count = 0);
+        } else if let Err(error) = self.prepared.count_restart() {
+            // It is counted again at the next occasion.
+            tracing::warn!("{error:#}");
+        }
+        let account = self.accounts.iter_mut().find(|(of, ..)| *of == role);
+        let (_, _, count) = account.context("a process is to be replaced that has not died")?;
+        *count = count.checked_add(1).with_context(|| format!("{role} has been replaced 65535 times"))?;
+        let child = children::start(self.prepared, role, *count, self.events)?;
+        if let Some(place) = children.iter_mut().find(|child| child.role == role) {
+            *place = child;
+        }
+        self.started = tokio::time::Instant::now();
+        Ok(())
     }
 }
 
@@ -316,7 +334,7 @@ async fn watch(
                 let found = living.find_map(|c| c.line.beat(deadlines).map(|fault| (c.role, fault)));
                 if let Some((role, fault)) = found {
                     let how = How::Lingering(fault);
-                    if !replacing.replaces(role, &how, children) {
+                    if !replacing.replaces(role, &how) {
                         break Death::new(replacing.prepared.dir(), role, how);
                     }
                     // Its end, which will be noticed in its turn, is what it is replaced after.
@@ -327,8 +345,17 @@ async fn watch(
                 }
             }
             () = replacing.next() => {
-                // What a learner needs for an end in good order takes it a while to have.
-                began &= !replacing.start(children)?;
+                match replacing.start(children) {
+                    // What a learner needs for an end in good order takes it a while to have.
+                    Ok(learner) => began &= !learner,
+                    Err(error) => {
+                        let Some(death) = replacing.deaths().next().cloned() else { return Err(error) };
+                        let said = format!("{} cannot be replaced: {error:#}", death.role);
+                        display.say(&said);
+                        replacing.prepared.note(&said);
+                        break death;
+                    }
+                }
             }
             () = signals.any() => {
                 if interrupted {
@@ -336,14 +363,14 @@ async fn watch(
                     return Ok(ControlFlow::Break(Ended::Interrupted(None)));
                 }
                 interrupted = true;
-                if replacing.awaits(Role::Learner) {
+                if replacing.awaits_learner() {
                     return Ok(ControlFlow::Break(Ended::Interrupted(None)));
                 }
                 display.say("interrupted: finishing the tick and saving; once more to stop at once");
                 children.iter().filter(|c| c.role == Role::Learner).for_each(Child::terminate);
             }
             () = &mut blame, if !consequences.is_empty() => {
-                let last = |death: &Death| !replacing.replaces(death.role, &death.how, children);
+                let last = |death: &Death| !replacing.replaces(death.role, &death.how);
                 if let Some(at) = consequences.iter().position(last) {
                     break consequences.swap_remove(at);
                 }
@@ -376,7 +403,7 @@ async fn watch(
                     let death = Death::new(replacing.prepared.dir(), role, how);
                     if !death.is_consequence() {
                         let ending = interrupted && role == Role::Learner;
-                        if ending || !replacing.replaces(role, &death.how, children) {
+                        if ending || !replacing.replaces(role, &death.how) {
                             break death;
                         }
                         // A run that is ending can do without it, and must learn that it is gone.

@@ -17,7 +17,7 @@ use trestle_proto::query::{NOT_READY, status_text};
 use trestle_proto::reply::{EVALUATION, EVALUATION_KIND, Evaluation, JOINED, Reply};
 use trestle_proto::transport::{FromActor, LearnerLink, LinkError, Stop};
 
-/// Trains `session` to its end over `link`, whose processes are all ready, or until `stop` says so.
+/// Trains `session` to its end over `link`, whose mentor-server is ready, or until `stop` says so.
 ///
 /// # Errors
 /// What the peers send that cannot be right, a mentor-server that does not come back, training that diverges, or a file
@@ -156,8 +156,10 @@ impl<L: LearnerLink> Free<'_, L> {
             }
             EVALUATION => {
                 let evaluation: Evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
-                // An actor and the one that replaces it may both have played the same.
-                if self.orders.evaluation.checked_sub(1) == Some(evaluation.evaluation) {
+                // An actor and the one that replaces it may both have played the same. One that has not announced itself to this
+                // learner has played it with another one's weights.
+                let announced = self.actors[actor as usize].is_some();
+                if announced && self.orders.evaluation.checked_sub(1) == Some(evaluation.evaluation) {
                     self.session.evaluated(&evaluation)?;
                     self.orders.evaluation = 0;
                 }
@@ -464,6 +466,8 @@ mod tests {
     #[test]
     fn batches_of_a_replaced_actor_are_dropped() {
         let result = played(|actor| {
+            // An evaluation, too: the first one is due at the end only, but its number could be that of one that is due.
+            actor.evaluates(0);
             actor.sends(0, 0, ROLLOUT);
             actor.joins(0);
             assert!(actor.is_counted(0, 0), "what came before the actor had announced itself is not counted");

@@ -180,7 +180,7 @@ impl<'a> Session<'a> {
         Ok(Resumed { session, behaviour })
     }
 
-    /// All processes have answered: time counts from here, and the result of an earlier start is gone.
+    /// The other processes have answered: time counts from here, and the result of an earlier start is gone.
     pub fn start(&mut self) -> Result<(), SessionError> {
         self.recorder.begin()?;
         self.since = Instant::now();

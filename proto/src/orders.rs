@@ -34,7 +34,8 @@ pub struct Orders {
     pub evaluation: u64,
     /// Greedy episodes of that evaluation.
     pub episodes: u32,
-    /// 1: every actor leaves.
+    /// 1: the run is over. An actor stays until it is told to leave: the learner could still die before its result is
+    /// written, and another one go on.
     pub stop: u32,
     /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]). The first orders of a later one than
     /// before mean that the learner has been replaced: it knows of no actor before that has announced itself anew.

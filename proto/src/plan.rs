@@ -1,5 +1,5 @@
-//! The plan of a run: all that a child process needs to know, written once by the supervisor into the run's
-//! directory before the first child starts.
+//! The plan of a run: all that a child process needs to know, written by the supervisor into the run's directory before
+//! a child starts.
 
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind};

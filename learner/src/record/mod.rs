@@ -166,7 +166,7 @@ impl Recorder {
         }
     }
 
-    /// Begins: call it just before the first tick, when all processes have answered. `wall_s` counts from here, or without a
+    /// Begins: call it just before the first tick, when the other processes have answered. `wall_s` counts from here, or without a
     /// call from the recorder's creation. What an earlier start came to is of no use any more, and is removed; here, where
     /// the new result is written as well, so that nobody can take the one for the other.
     pub fn begin(&mut self) -> Result<(), RecordError> {

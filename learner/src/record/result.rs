@@ -43,8 +43,7 @@ pub struct RunResult {
     pub final_return: Option<f64>,
     /// SHA-256 of the final weights, in hexadecimal.
     pub weights_sha256: String,
-    /// How many times the run was started again after the death of a process; in free mode also how many processes have
-    /// announced themselves in the place of dead ones, those that a checkpoint gone on from has not seen left out.
+    /// How many times the run, or in free mode one of its processes, was started again after the death of a process.
     pub restarts: u64,
     /// Whether the run ended before its limits, as after a SIGINT.
     pub interrupted: bool,

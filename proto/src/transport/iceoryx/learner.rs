@@ -58,8 +58,9 @@ impl IceoryxLearner {
             .ticks
             .publisher_builder()
             .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
-            .set_backpressure_handler(give_up_in_time)
+            // An actor never has as many ticks before it as its buffer holds. Whoever else listens and does not read must keep
+            // nobody waiting.
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(failed("creating the publisher of ticks"))?;
         let orders =

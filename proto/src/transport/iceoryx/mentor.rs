@@ -73,7 +73,8 @@ impl IceoryxMentor {
             welcome |= event == wake::WELCOME + MENTOR_PEER;
             called |= event == wake::ROLL_CALL;
         })?;
-        if self.welcome && called {
+        // In lockstep nobody calls.
+        if self.welcome && called && self.services.orders.is_some() {
             self.welcome = false;
             handler.forget();
             tracing::info!("another learner has come");
@@ -105,9 +106,12 @@ impl IceoryxMentor {
                 .map_err(failed("loaning memory for an answer"))?
                 .write_from_slice(&self.answer);
             *sending.user_header_mut() = answer;
-            // A learner that is gone is the supervisor's affair, and in free mode another will come.
-            if let Err(e) = sending.send() {
-                tracing::warn!("an answer on mentor/observe was not delivered: {e}");
+            match sending.send() {
+                // The learner is gone, and another will come.
+                Err(e) if self.services.orders.is_some() => {
+                    tracing::warn!("an answer on mentor/observe was not delivered: {e}");
+                }
+                sent => sent.map_err(failed("answering on mentor/observe"))?,
             }
             wake::notify(&self.learner, wake::DATA)?;
             answered += 1;
@@ -170,17 +174,15 @@ impl MentorLink for IceoryxMentor {
             self.sleep(Duration::ZERO, handler)?;
         }
         loop {
+            if !self.welcome {
+                wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
+            }
             let answered = self.answer_all(handler)?;
             let left = timeout.saturating_sub(start.elapsed());
             if answered > 0 || left.is_zero() {
                 return Ok(answered);
             }
-            if self.welcome {
-                self.sleep(left, handler)?;
-            } else {
-                wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
-                self.sleep(left.min(HELLO_INTERVAL), handler)?;
-            }
+            self.sleep(if self.welcome { left } else { left.min(HELLO_INTERVAL) }, handler)?;
         }
     }
 }

@@ -76,8 +76,15 @@ pub(super) fn ask(
         return Err(LinkError::Receivers { what: WHAT, found: 0, expected: 1 });
     }
     wake::notify(mentor, wake::DATA)?;
-    let answer =
-        wake::wait(listener, deadline, || pending.receive().map_err(failed("receiving from mentor/query")))?;
+    let answer = wake::wait(listener, deadline, || {
+        // Asked first: an answer may come, and end the connection, in between.
+        let connected = pending.is_connected();
+        let answer = pending.receive().map_err(failed("receiving from mentor/query"))?;
+        if answer.is_none() && !connected {
+            return Err(LinkError::Receivers { what: WHAT, found: 0, expected: 1 });
+        }
+        Ok(answer)
+    })?;
     let answer = answer.ok_or_else(|| LinkError::Deadline {
         peer: "mentor-server".into(),
         what: WHAT,
