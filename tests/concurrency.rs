@@ -1,7 +1,15 @@
 //! Runs share a host without noticing each other, and never a directory.
 
-use crate::util::{Place, Trace, assert_gone, evaluations, result, start};
+use crate::util::{
+    Outcome, Place, Process, TRESTLE, Trace, assert_gone, available, evaluations, process, processes, result,
+    send, start, start_command,
+};
 use nix::sys::signal::Signal;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, symlink};
+use std::path::{Path, PathBuf};
+use trestle_proto::rundir::RunDir;
+use trestle_proto::transport::iceoryx::{Domain, QueryClient};
 
 fn args(seed: &str) -> Vec<&str> {
     vec!["maze-small", "--env-steps", "6000", "--seed", seed]
@@ -77,4 +85,203 @@ fn of_two_starts_in_one_directory_one_trains() {
     let dir = place.run("run");
     assert_gone(&dir);
     assert!(trained[0].stdout.contains(&result(&dir).weights_sha256));
+}
+
+/// A user of the host that has nothing there but what a test gives it.
+struct User {
+    id: u32,
+    /// Where it may write.
+    home: String,
+    /// The program, where it can be reached.
+    program: String,
+}
+
+impl User {
+    /// Number `n` of this test process, with a place of its own in `place`, which all of them can reach. None where
+    /// nobody may become another user.
+    fn new(place: &Place, n: u32) -> Option<Self> {
+        // Two test processes at once must not meet.
+        let id = 20_000 + std::process::id() % 10_000 * 4 + n;
+        let user = Self { id, home: place.path(&format!("home-{n}")), program: place.path("trestle") };
+        let as_user = user.command("true");
+        if !available(&as_user.iter().map(String::as_str).collect::<Vec<_>>()) {
+            return None;
+        }
+        let all_may = |path: &Path| fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
+        if !Path::new(&user.program).exists() {
+            fs::copy(TRESTLE, &user.program).unwrap();
+        }
+        fs::create_dir(&user.home).unwrap();
+        chown(&user.home, Some(id), Some(id)).unwrap();
+        [place.root(), Path::new(&user.home), Path::new(&user.program)].into_iter().for_each(all_may);
+        Some(user)
+    }
+
+    /// What makes `program` this user's.
+    fn command(&self, program: &str) -> Vec<String> {
+        let id = self.id.to_string();
+        ["setpriv", "--reuid", &id, "--regid", &id, "--clear-groups", program].map(String::from).to_vec()
+    }
+
+    fn start_program(&self, program: &str, args: &[&str]) -> Process {
+        let command = self.command(program);
+        start_command(&command.iter().map(String::as_str).collect::<Vec<_>>(), args)
+    }
+
+    /// Starts the program under test.
+    fn start(&self, args: &[&str]) -> Process {
+        self.start_program(&self.program, args)
+    }
+
+    /// What `trestle doctor` says to this user, who has nothing to be told of but `runs` runs in progress.
+    fn doctor(&self, more: &[&str], runs: usize) -> Outcome {
+        let outcome = self.start(&[&["doctor"], more].concat()).finish();
+        let bad: Vec<&str> = outcome.stdout.lines().filter(|line| !line.starts_with("ok ")).collect();
+        // What the host itself lacks is nobody's run.
+        let of_the_host = |line: &&str| line.contains("shared memory: ") || line.contains("open files: ");
+        assert!(bad.iter().all(of_the_host), "{outcome:?}");
+        assert_eq!(outcome.status.success(), bad.is_empty(), "{outcome:?}");
+        assert!(outcome.stdout.contains(&format!("runs in progress: {runs}\n")), "{outcome:?}");
+        outcome
+    }
+
+    /// Where the roots of its runs are.
+    fn base(&self) -> PathBuf {
+        format!("/tmp/trestle-{}", self.id).into()
+    }
+
+    /// The root of its run and the run's files in `/dev/shm`.
+    fn shared(&self, run: u64) -> (PathBuf, Vec<PathBuf>) {
+        let prefix = format!("trestle_{run:08x}_");
+        let all = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap());
+        let own = all.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
+        let mut files: Vec<PathBuf> = own.map(|entry| entry.path()).collect();
+        files.sort();
+        (self.base().join(format!("{run:08x}")), files)
+    }
+}
+
+impl Drop for User {
+    /// Leaves nothing of the user, also where a test has failed.
+    fn drop(&mut self) {
+        // Empty, unless something has gone wrong, or what a test has put there.
+        let _ = fs::remove_dir_all(self.base()).or_else(|_| fs::remove_file(self.base()));
+        for entry in fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+            if entry.metadata().is_ok_and(|meta| meta.uid() == self.id) {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+/// The directory of a run of somebody else's, for the process that is a stranger to it.
+const STRANGER: &str = "TRESTLE_TEST_STRANGER";
+
+/// Two users train at once. Neither sees, opens, asks or removes anything of the other's run, and nor does root by accident.
+/// The runs are stopped while that is tried, so that they cannot be over.
+#[test]
+fn users_do_not_see_each_other() {
+    if let Some(dir) = std::env::var_os(STRANGER) {
+        let plan = RunDir::new(dir).read_plan().unwrap();
+        println!("refused: {}", QueryClient::new(&Domain::of(plan.run), &plan).unwrap_err());
+        return;
+    }
+    let place = Place::new();
+    let (Some(one), Some(two)) = (User::new(&place, 0), User::new(&place, 1)) else { return };
+    let asks = place.path("asks");
+    fs::copy(std::env::current_exe().unwrap(), &asks).unwrap();
+    let undisturbed = place.train("undisturbed", &args("3"));
+    let mut runs = [&one, &two].map(|user| {
+        let out = format!("{}/run", user.home);
+        (user.start(&[&["train", "--quiet", "--out", &out], &args("3")[..]].concat()), RunDir::new(out))
+    });
+    for (run, dir) in &mut runs {
+        run.wait_for("an evaluation", || evaluations(dir) > 0);
+        let all = processes(dir.root());
+        assert_eq!(all.len(), 4);
+        all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGSTOP));
+    }
+    let [first, second] = [runs[0].1.clone(), runs[1].1.clone()];
+    for (user, own, other, others) in [(&one, &first, &two, &second), (&two, &second, &one, &first)] {
+        let run = others.read_plan().unwrap().run;
+        let (root, files) = other.shared(run);
+        assert!(files.len() > 5, "{files:?}");
+        let private = |path: &Path, mode: u32| {
+            let meta = fs::symlink_metadata(path).unwrap();
+            assert_eq!(meta.uid(), other.id, "{}", path.display());
+            assert_eq!(meta.mode() & mode, 0, "{} is of mode {:o}", path.display(), meta.mode());
+        };
+        private(&other.base(), 0o077);
+        private(&root, 0o077);
+        files.iter().for_each(|file| private(file, 0o077));
+
+        // It cannot look.
+        let paths: Vec<&str> = files.iter().map(|file| file.to_str().unwrap()).collect();
+        let read = user.start_program("head", &[&["-c", "1"], &paths[..]].concat()).finish().code(1);
+        assert_eq!((read.stdout.as_str(), read.stderr.lines().count()), ("", files.len()), "{read:?}");
+        let listed = user.start_program("ls", &["-A", root.to_str().unwrap()]).finish();
+        assert!(!listed.status.success() && listed.stdout.is_empty(), "{listed:?}");
+
+        // It sees its own run alone, and removes nothing.
+        let of_other = format!("{run:08x}");
+        for more in [&[][..], &["--fix"]] {
+            let outcome = user.doctor(more, 1);
+            assert!(!outcome.stdout.contains(&of_other), "{outcome:?}");
+        }
+
+        // It cannot ask, nor take a part in it.
+        let ask = ["concurrency::users_do_not_see_each_other", "--exact", "--nocapture"];
+        let env = format!("{STRANGER}={}", others.root().display());
+        let asked = user.start_program("env", &[&[env.as_str(), &asks], &ask[..]].concat()).finish().ok();
+        assert!(asked.stdout.contains("refused: joining the run: it is not in progress"), "{asked:?}");
+        let theirs = others.root().to_str().unwrap();
+        for role in [&["mentor-server"][..], &["learner"], &["actor", "--index", "0"]] {
+            let joined = user.start(&[role, &["--run", theirs]].concat()).finish();
+            joined.refused(&["joining the run", "not in progress"]);
+        }
+        // Root could; but what it does under its own name is about its own runs.
+        let plan = others.read_plan().unwrap();
+        assert!(QueryClient::new(&Domain::of(run), &plan).is_err());
+        assert_eq!(Domain::of(run).shared_memory().unwrap(), [] as [PathBuf; 0]);
+        Domain::of(run).remove().unwrap();
+
+        assert_eq!(other.shared(run), (root.clone(), files));
+        assert!(root.join("owner").exists() && process(own.root(), "learner").is_some());
+    }
+    for (run, dir) in runs {
+        processes(dir.root()).iter().for_each(|(pid, _)| send(*pid, Signal::SIGCONT));
+        run.finish().ok();
+        assert_eq!(Trace::of(&dir), undisturbed);
+        assert_eq!(result(&dir).restarts, 0);
+    }
+    for (user, dir) in [(&one, &first), (&two, &second)] {
+        let (root, files) = user.shared(dir.read_plan().unwrap().run);
+        assert!(!root.exists() && files.is_empty(), "{files:?}");
+        user.doctor(&[], 0);
+    }
+}
+
+/// What somebody else has put in the place of a user's runs is not taken for them, least of all to be removed.
+#[test]
+fn a_trap_in_the_place_of_the_runs_is_not_stepped_into() {
+    let place = Place::new();
+    let Some(user) = User::new(&place, 2) else { return };
+    // Its own files, with names that a run could have, behind a link that root has made.
+    let precious = Path::new(&user.home).join("deadbeef");
+    fs::create_dir(&precious).unwrap();
+    fs::write(precious.join("thesis.tex"), "").unwrap();
+    for path in [&precious, &precious.join("thesis.tex")] {
+        chown(path, Some(user.id), Some(user.id)).unwrap();
+    }
+    symlink(&user.home, user.base()).unwrap();
+    for more in [&["doctor"][..], &["doctor", "--fix"]] {
+        let outcome = user.start(more).finish().code(1);
+        let words = format!("runs cannot be looked for: {} belongs to user 0", user.base().display());
+        assert!(outcome.stdout.contains(&words) && !outcome.stdout.contains("deadbeef"), "{outcome:?}");
+    }
+    let out = format!("{}/run", user.home);
+    user.start(&["train", "maze-small", "--env-steps", "100", "--out", &out])
+        .finish()
+        .refused(&["belongs to user 0", "accepted: a directory of user"]);
+    assert!(precious.join("thesis.tex").exists() && !Path::new(&out).exists());
 }

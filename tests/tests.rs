@@ -15,6 +15,7 @@ mod doctor;
 mod errors;
 mod faults;
 mod free;
+mod hazards;
 mod host;
 mod hostile;
 mod mentors;

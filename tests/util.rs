@@ -157,8 +157,12 @@ pub(crate) fn start<S: AsRef<str>>(args: &[S]) -> Process {
 
 /// Starts the program as the last part of another command, such as `taskset -c 0`.
 pub(crate) fn start_under<S: AsRef<str>>(command: &[&str], args: &[S]) -> Process {
+    start_command(&[command, &[TRESTLE]].concat(), args)
+}
+
+/// Starts any other command, `args` being those that tell it from others.
+pub(crate) fn start_command<S: AsRef<str>>(command: &[&str], args: &[S]) -> Process {
     let mut words: Vec<&str> = command.to_vec();
-    words.push(TRESTLE);
     words.extend(args.iter().map(AsRef::as_ref));
     let mut child = Command::new(words[0])
         .args(&words[1..])

@@ -1,12 +1,14 @@
 //! One actor without any transport: it collects batches, plays greedy evaluations, and can be saved and restored.
 
+use crate::env::hazard::Hazards;
 use crate::env::{EnvError, Environment, build};
 use crate::guide::Guide;
 use crate::policy::Policy;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
-use trestle_proto::config;
+use trestle_proto::config::{self, Hazard, HazardScope};
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::pulse;
@@ -70,6 +72,18 @@ pub enum ActorError {
         /// What it asks for.
         amount: u32,
     },
+    /// A number from the environment that nothing can be learnt from.
+    #[error("the environment of actor {actor} gave {what} = {value} {moment}; accepted: finite numbers")]
+    NotFinite {
+        /// The actor.
+        actor: u32,
+        /// Which number.
+        what: Number,
+        /// NaN, or an infinity.
+        value: f32,
+        /// When.
+        moment: Moment,
+    },
     /// A snapshot that cannot be written or read.
     #[error("snapshot of an actor: {0}")]
     Snapshot(#[from] CodecError),
@@ -85,6 +99,42 @@ pub enum ActorError {
         /// Features of an observation here.
         expected: usize,
     },
+}
+
+/// A number that an environment gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Number {
+    /// A feature of a state, counted from 0.
+    Feature(usize),
+    /// The reward of a step.
+    Reward,
+}
+
+impl fmt::Display for Number {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Feature(index) => write!(f, "feature {index} of its state"),
+            Self::Reward => write!(f, "a reward"),
+        }
+    }
+}
+
+/// When something happened to an actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// In training, after so many steps.
+    Steps(u64),
+    /// In the evaluation with this number.
+    Evaluation(u64),
+}
+
+impl fmt::Display for Moment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Steps(steps) => write!(f, "after {steps} steps"),
+            Self::Evaluation(number) => write!(f, "in evaluation {number}"),
+        }
+    }
 }
 
 /// The state of one actor.
@@ -130,25 +180,31 @@ struct State {
 }
 
 impl Worker {
-    /// Actor `index` of the run that `plan` describes, at the start of its first episode.
+    /// Actor `index` of the run that `plan` describes, at the start of its first episode, outside of that run's
+    /// processes: `env.hazard` has no effect.
     ///
     /// # Errors
     /// A configuration that gives no environment or no network, a plan whose spaces are not those of its
-    /// environment, or an index that the run does not have.
+    /// environment, an index that the run does not have, or an environment whose first state is not finite.
     pub fn new(plan: &RunPlan, index: u32) -> Result<Self, ActorError> {
-        Self::replacing(plan, index, 0)
+        Self::with(plan, index, 0, Hazard::default())
     }
 
-    /// The same as incarnation `incarnation` of that actor, with random streams of its own.
+    /// The same as incarnation `incarnation` of that actor, with random streams of its own, in a process of the run.
     ///
     /// # Errors
     /// As [`Worker::new`].
     pub fn replacing(plan: &RunPlan, index: u32, incarnation: u32) -> Result<Self, ActorError> {
+        Self::with(plan, index, incarnation, plan.config.env.hazard)
+    }
+
+    fn with(plan: &RunPlan, index: u32, incarnation: u32, hazard: Hazard) -> Result<Self, ActorError> {
         let run = &plan.config.run;
         if index >= run.actors {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
         }
-        let mut env = build(&plan.config.env)?;
+        let hazards = Hazards::new(hazard);
+        let mut env = hazards.around(build(&plan.config.env)?, HazardScope::Training);
         if *env.spec() != plan.spec {
             let (planned, built) = (plan.spec.name.clone(), env.spec().name.clone());
             return Err(ActorError::Spec { planned, built });
@@ -159,6 +215,7 @@ impl Worker {
         let mut environment = stream(run.seed, Purpose::Environment, who);
         let mut obs = vec![0.0; obs_dim];
         env.reset(&mut environment, &mut obs);
+        check_finite(index, Moment::Steps(0), &obs, 0.0)?;
         Ok(Self {
             index,
             actors: run.actors,
@@ -169,7 +226,7 @@ impl Worker {
             guide: Guide::new(plan)?,
             guide_len: plan.guide_len(),
             env,
-            evaluation_env: build(&plan.config.env)?,
+            evaluation_env: hazards.around(build(&plan.config.env)?, HazardScope::Evaluation),
             explore: stream(run.seed, Purpose::Explore, who),
             environment,
             obs,
@@ -214,7 +271,8 @@ impl Worker {
     /// that the step has among those of all actors.
     ///
     /// # Errors
-    /// Parameters of another network, or an amount out of range; nothing has happened then.
+    /// Parameters of another network, or an amount out of range; nothing has happened then. An environment that fails or
+    /// gives what is not finite.
     pub fn collect(&mut self, acting: &[f32], tick: &Tick, batch: &mut Batch) -> Result<(), ActorError> {
         let expected = self.n_acting();
         if acting.len() != expected {
@@ -246,6 +304,8 @@ impl Worker {
             };
             let step = self.env.step(action, &mut self.next_obs)?;
             pulse::step();
+            // The learner checks it as well, but this process is the one to blame, and to be replaced.
+            check_finite(self.index, Moment::Steps(self.seq), &self.next_obs, step.reward)?;
             let flags = if self.first { FIRST } else { 0 }
                 | if step.terminated { TERMINATED } else { 0 }
                 | if step.truncated { TRUNCATED } else { 0 };
@@ -255,6 +315,7 @@ impl Worker {
             self.first = step.terminated || step.truncated;
             if self.first {
                 self.env.reset(&mut self.environment, &mut self.obs);
+                check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)?;
             } else {
                 std::mem::swap(&mut self.obs, &mut self.next_obs);
             }
@@ -279,7 +340,7 @@ impl Worker {
         let mut room = MAX_PATH_FEATURES;
         let mut episodes = Vec::with_capacity(tick.amount as usize);
         for _ in 0..tick.amount {
-            let episode = self.play(params, &mut rng, room)?;
+            let episode = self.play(params, &mut rng, room, tick.evaluation)?;
             // Once a path has been left out, all later ones are.
             room = if episode.path.is_empty() { 0 } else { room - episode.path.len() };
             episodes.push(episode);
@@ -287,16 +348,19 @@ impl Worker {
         Ok(Evaluation { evaluation: tick.evaluation, episodes })
     }
 
-    /// One greedy episode, its path left out if it has more than `room` features.
+    /// One greedy episode of the evaluation with this number, its path left out if it has more than `room` features.
     fn play(
         &mut self,
         params: &[f32],
         rng: &mut Stream,
         room: usize,
+        evaluation: u64,
     ) -> Result<EvaluationEpisode, ActorError> {
         let (mut total_reward, mut length) = (0.0, 0);
         let goal_bonus = self.evaluation_env.spec().goal_bonus;
+        let (index, moment) = (self.index, Moment::Evaluation(evaluation));
         self.evaluation_env.reset(rng, &mut self.evaluation_obs);
+        check_finite(index, moment, &self.evaluation_obs, 0.0)?;
         let mut path = Vec::new();
         let mut fits = true;
         let mut record = |obs: &[f32]| {
@@ -311,6 +375,7 @@ impl Worker {
             let action = self.policy.greedy(params, &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
+            check_finite(index, moment, &self.evaluation_obs, step.reward)?;
             total_reward += reported(step.reward, step.terminated, goal_bonus);
             length += 1;
             whole = record(&self.evaluation_obs);
@@ -364,6 +429,17 @@ impl Worker {
         self.environment = state.environment;
         Ok(())
     }
+}
+
+/// Refuses a state or a reward that nothing can be learnt from.
+fn check_finite(actor: u32, moment: Moment, obs: &[f32], reward: f32) -> Result<(), ActorError> {
+    let feature = obs.iter().position(|value| !value.is_finite());
+    let (what, value) = match feature {
+        Some(index) => (Number::Feature(index), obs[index]),
+        None if !reward.is_finite() => (Number::Reward, reward),
+        None => return Ok(()),
+    };
+    Err(ActorError::NotFinite { actor, what, value, moment })
 }
 
 /// Refuses too much work, or none.

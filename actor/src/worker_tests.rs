@@ -266,7 +266,7 @@ fn a_path_without_room_is_left_out() {
     let params = always(&plan, 1);
     let mut worker = Worker::new(&plan, 0).unwrap();
     let mut path =
-        |room| worker.play(&params, &mut stream(0, Purpose::Evaluation, 0), room).unwrap().path.len();
+        |room| worker.play(&params, &mut stream(0, Purpose::Evaluation, 0), room, 0).unwrap().path.len();
     assert_eq!((path(8), path(7), path(0)), (8, 0, 0));
 }
 
@@ -301,6 +301,77 @@ fn what_cannot_be_done_is_refused() {
     assert_eq!(message, "snapshot of actor 1, with 2 features; this is actor 0, with 2");
     assert!(matches!(worker.restore(&before[..9]), Err(ActorError::Snapshot(_))));
     assert_eq!(worker.snapshot().unwrap(), before);
+}
+
+/// What `worker` refuses as it collects batches of 8 steps, or plays evaluations, and how many it got through before.
+fn refusal(mut worker: Worker, params: &[f32], kind: u32) -> (u64, String) {
+    let mut batch = Batch::default();
+    for t in 1..100 {
+        let outcome = match kind {
+            COLLECT => worker.collect(params, &tick(t, COLLECT, 8), &mut batch),
+            _ => worker.evaluate(params, &Tick { evaluation: t, ..tick(t, EVALUATE, 1) }).map(|_| ()),
+        };
+        if let Err(error) = outcome {
+            return (t - 1, error.to_string());
+        }
+    }
+    panic!("nothing is refused");
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused_by_name() {
+    let hazardous = |kind: &str| {
+        let kind = format!("env.hazard.kind={kind}");
+        let plan = corridor("S..G\n", &["run.actors=2", &kind, "env.hazard.after=20"]);
+        (Worker::replacing(&plan, 1, 0).unwrap(), random_params(&plan), plan)
+    };
+    let (worker, params, plan) = hazardous("nan-reward");
+    let refused = "the environment of actor 1 gave a reward = NaN after 20 steps; accepted: finite numbers";
+    assert_eq!(refusal(worker, &params, COLLECT), (2, refused.into()));
+    let (worker, _, _) = hazardous("nan-state");
+    let refused = "the environment of actor 1 gave feature 1 of its state = NaN after 20 steps; accepted: finite numbers";
+    assert_eq!(refusal(worker, &params, COLLECT), (2, refused.into()));
+    // Seven steps an evaluation, as west leads nowhere.
+    let west = always(&plan, 0);
+    let refused = "the environment of actor 1 gave a reward = NaN in evaluation 3; accepted: finite numbers";
+    assert_eq!(refusal(hazardous("nan-reward").0, &west, EVALUATE), (2, refused.into()));
+    let refused = "the environment of actor 1 gave feature 1 of its state = NaN in evaluation 3; accepted: finite numbers";
+    assert_eq!(refusal(hazardous("nan-state").0, &west, EVALUATE), (2, refused.into()));
+    // From a snapshot on it comes later, at a step that says so.
+    let (mut worker, ..) = hazardous("nan-reward");
+    batches(&mut worker, &params, 1, 2, 8);
+    let (mut other, ..) = hazardous("nan-reward");
+    other.restore(&worker.snapshot().unwrap()).unwrap();
+    let (got_through, refused) = refusal(other, &params, COLLECT);
+    assert!(got_through == 2 && refused.contains("after 36 steps"), "{got_through}: {refused}");
+    for (value, finite) in [(f32::INFINITY, false), (f32::NEG_INFINITY, false), (f32::MAX, true)] {
+        assert_eq!(check_finite(0, Moment::Steps(0), &[0.0], value).is_ok(), finite);
+        assert_eq!(check_finite(0, Moment::Steps(0), &[value], 0.0).is_ok(), finite);
+    }
+}
+
+/// A plan's hazard is one of its run's processes, not of those that look at the run.
+#[test]
+fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
+    let with = |during: &str| {
+        let during = format!("env.hazard.during={during}");
+        corridor("S..G\n", &["env.hazard.kind=error", "env.hazard.after=20", &during])
+    };
+    let params = random_params(&with("both"));
+    let mut outside = Worker::new(&with("both"), 0).unwrap();
+    assert_eq!(batches(&mut outside, &params, 1, 10, 8).len(), 10);
+    let west = always(&with("both"), 0);
+    let refused = "env.hazard: the error that was asked for, after 20 steps of the process";
+    for (during, kind) in
+        [("both", COLLECT), ("both", EVALUATE), ("training", COLLECT), ("evaluation", EVALUATE)]
+    {
+        let worker = Worker::replacing(&with(during), 0, 0).unwrap();
+        assert_eq!(refusal(worker, &west, kind), (2, refused.into()), "{during}");
+    }
+    let mut training = Worker::replacing(&with("training"), 0, 0).unwrap();
+    assert!((1..10).all(|t| training.evaluate(&west, &tick(t, EVALUATE, 1)).is_ok()));
+    let mut evaluating = Worker::replacing(&with("evaluation"), 0, 0).unwrap();
+    assert_eq!(batches(&mut evaluating, &params, 1, 10, 8).len(), 10);
 }
 
 #[test]

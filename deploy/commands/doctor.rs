@@ -32,6 +32,29 @@ fn physics(line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
     }
 }
 
+/// This user's runs: how many live, and what dead ones have left, which goes if it is to be fixed.
+fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
+    let all = match Domain::all() {
+        Ok(all) => all,
+        Err(error) => return line(false, format!("runs cannot be looked for: {error}")),
+    };
+    let (living, dead): (Vec<Domain>, Vec<Domain>) = all.into_iter().partition(Domain::is_alive);
+    line(true, format!("runs in progress: {}", living.len()))?;
+    for domain in &dead {
+        let files = domain.shared_memory()?;
+        let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
+        let what =
+            format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
+        if fix {
+            domain.remove()?;
+            line(true, format!("{what}: removed"))?;
+        } else {
+            line(false, format!("{what}; `trestle doctor --fix` removes it"))?;
+        }
+    }
+    Ok(())
+}
+
 pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     let mut sound = true;
     let mut line = |good: bool, text: String| -> Result<()> {
@@ -59,20 +82,7 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()))?;
     physics(&mut line)?;
-    let (living, dead): (Vec<Domain>, Vec<Domain>) = Domain::all()?.into_iter().partition(Domain::is_alive);
-    line(true, format!("runs in progress: {}", living.len()))?;
-    for domain in &dead {
-        let files = domain.shared_memory()?;
-        let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
-        let what =
-            format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
-        if args.fix {
-            domain.remove()?;
-            line(true, format!("{what}: removed"))?;
-        } else {
-            line(false, format!("{what}; `trestle doctor --fix` removes it"))?;
-        }
-    }
+    runs(args.fix, &mut line)?;
     ensure!(sound, "something needs attention");
     Ok(ExitCode::SUCCESS)
 }

@@ -9,6 +9,7 @@ use std::io::{self, ErrorKind, Read, Write, stdin, stdout};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
+use std::panic::{PanicHookInfo, set_hook, take_hook};
 use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,6 +40,11 @@ impl Start {
         let dir = RunDir::new(&args.run);
         let plan = dir.read_plan()?;
         logging::init(plan.run, role, "info");
+        let usual = take_hook();
+        set_hook(Box::new(move |panic| {
+            usual(panic);
+            last_words(panic);
+        }));
         let domain = Domain::of(plan.run);
         let stop = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -58,6 +64,16 @@ impl Start {
         let stop = self.stop.clone();
         move || stop.load(Ordering::Relaxed)
     }
+}
+
+/// Ends the report of a panic with its own words on one line, as every error ends: by the last line of the log the supervisor
+/// tells whether a process has failed in the same way before, and a hint about backtraces is the same for all.
+fn last_words(panic: &PanicHookInfo<'_>) {
+    let payload = panic.payload();
+    let text =
+        payload.downcast_ref::<&str>().copied().or(payload.downcast_ref::<String>().map(String::as_str));
+    let place = panic.location().map_or_else(String::new, |at| format!(" at {at}"));
+    say(&format!("error: panicked{place}: {}", text.unwrap_or("(no message)").replace('\n', " ")));
 }
 
 /// Gives signs of life on standard input, where that is a socket, until it is closed, which only the end of the

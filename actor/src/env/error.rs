@@ -106,6 +106,12 @@ pub enum EnvError {
     /// A step where there is no episode.
     #[error("a step without an episode: the environment must be reset first")]
     Ended,
+    /// What `env.hazard.kind = "error"` asks for.
+    #[error("env.hazard: the error that was asked for, after {after} steps of the process")]
+    Hazard {
+        /// Steps that the process has taken.
+        after: u64,
+    },
     /// A snapshot that cannot be written or read.
     #[error("snapshot of an environment: {0}")]
     Snapshot(#[from] CodecError),

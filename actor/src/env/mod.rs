@@ -6,6 +6,7 @@
 
 mod error;
 mod ground;
+pub mod hazard;
 pub mod maze;
 pub mod point_maze;
 

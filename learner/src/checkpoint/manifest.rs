@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
-use trestle_proto::config::{Checkpoint, Eval, Mode, Supervise};
+use trestle_proto::config::{Checkpoint, Eval, Hazard, Mode, Supervise};
 use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
@@ -51,7 +51,7 @@ pub struct Manifest {
 
 /// Identifies what a checkpoint may be continued with: SHA-256 of the configuration, the spaces and the length of
 /// the demonstration. Left out is what does not change how the agent learns: the limits of the run, evaluations,
-/// checkpoints, supervision, and whether lockstep has one process or several.
+/// checkpoints, supervision, an environment's failing on purpose, and whether lockstep has one process or several.
 pub fn fingerprint(plan: &RunPlan) -> String {
     let mut config = plan.config.clone();
     (config.run.episodes, config.run.env_steps) = (None, None);
@@ -61,6 +61,7 @@ pub fn fingerprint(plan: &RunPlan) -> String {
     config.run.stop_when_solved = false;
     (config.eval, config.checkpoint) = (Eval::default(), Checkpoint::default());
     config.supervise = Supervise::default();
+    config.env.hazard = Hazard::default();
     let text = serde_json::json!([config, plan.spec, plan.mentor_len()]).to_string();
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }

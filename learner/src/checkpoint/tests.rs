@@ -195,6 +195,17 @@ fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not()
     assert!(fault.contains("demonstration"), "{fault}");
 }
 
+/// Nor does a hazard change what is learnt; and where there is none, checkpoints of versions that knew of none are taken.
+#[test]
+fn a_hazard_is_no_part_of_the_fingerprint() {
+    let none = plan(&[]);
+    let json = serde_json::to_value(&none.config).unwrap();
+    assert!(json["env"].get("point_maze").is_some() && json["env"].get("hazard").is_none());
+    let some = plan(&["env.hazard.kind=abort", "env.hazard.after=700"]);
+    assert_ne!(serde_json::to_value(&some.config).unwrap(), json);
+    assert_eq!(fingerprint(&some), fingerprint(&none));
+}
+
 #[test]
 fn a_run_that_ended_within_a_tick_stays_ended() {
     let ended = plan(&["run.env_steps=22"]);

@@ -5,12 +5,14 @@
 
 mod arm;
 mod demos;
+mod hazard;
 mod load;
 mod point_maze;
 mod threshold;
 mod validate;
 
 pub use demos::{Demos, ONLY, PLAN};
+pub use hazard::{Hazard, HazardKind, HazardScope};
 pub use load::{ConfigError, PRESETS, load, parse_toml, to_toml};
 pub use point_maze::{PhysicsBackend, PointLayout, PointMaze, PointReset};
 pub use threshold::Threshold;
@@ -145,6 +147,9 @@ pub struct Env {
     pub encoding: EncodingKind,
     /// What only `kind = "point-maze"` has.
     pub point_maze: PointMaze,
+    /// How the environment fails on purpose, if it does.
+    #[serde(with = "hazard::as_text", skip_serializing_if = "Hazard::is_unset")]
+    pub hazard: Hazard,
 }
 
 /// The environments.
@@ -443,6 +448,7 @@ impl Default for Env {
             step_limit: 4000,
             encoding: EncodingKind::Coordinates,
             point_maze: PointMaze::default(),
+            hazard: Hazard::default(),
         }
     }
 }

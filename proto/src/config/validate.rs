@@ -1,6 +1,6 @@
 //! Ranges and combinations of settings that types do not exclude.
 
-use super::{Config, ConfigError, DrawKind, EnvKind, Mode, SelectionKind, TargetKind};
+use super::{Config, ConfigError, DrawKind, EnvKind, HazardKind, Mode, SelectionKind, TargetKind};
 use crate::limits::{
     MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_DEADLINE_S, MAX_MENTORS, MAX_REPLAY, MAX_RESTARTS, MAX_ROLLOUT,
     MAX_SIZES, MAX_WIDTH, MIN_DEADLINE_S, TRANSITIONS_BUFFER,
@@ -35,6 +35,7 @@ impl Config {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.validate_run()?;
         self.validate_env()?;
+        self.validate_hazard()?;
         self.validate_exploration()?;
         self.validate_learner()?;
         self.validate_mentor()?;
@@ -127,6 +128,24 @@ impl Config {
             }
             _ => Ok(()),
         }
+    }
+
+    fn validate_hazard(&self) -> Result<(), ConfigError> {
+        let hazard = &self.env.hazard;
+        let kind = hazard.kind.name();
+        let refused = |accepted| Err(refuse("env.hazard.kind", kind, accepted));
+        match hazard.kind {
+            HazardKind::None => return Ok(()),
+            _ if self.run.mode == Mode::Reference => {
+                return refused("none with run.mode = reference, which has nobody to start it again");
+            }
+            HazardKind::Stall if self.supervise.stall_s == 0 => {
+                return refused("another one with supervise.stall_s = 0, as nobody would ever notice");
+            }
+            _ => {}
+        }
+        let accepted = format!("1 or more with env.hazard.kind = {kind}");
+        within("env.hazard.after", hazard.after, 1.., &accepted)
     }
 
     fn validate_exploration(&self) -> Result<(), ConfigError> {

@@ -1,7 +1,7 @@
 //! Where a run's shared resources lie, and how they are removed.
 //!
 //! A run has a root directory `/tmp/trestle-<uid>/<run>` (mode 0700; node and service files, sockets) and files in
-//! `/dev/shm` that begin with `trestle_<run>_`. The root holds a file `owner` with the supervisor's process id and
+//! `/dev/shm` that begin with `trestle_<run>_` (mode 0600). The root holds a file `owner` with the supervisor's process id and
 //! start time, so that what a dead run left can be told from what a living one needs.
 
 use super::Ipc;
@@ -12,7 +12,7 @@ use iceoryx2::prelude::{
 use nix::unistd::{Uid, getuid};
 use std::fs;
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 /// How often removing a run's root is tried anew when others remove it, too: more than it has processes.
@@ -146,11 +146,30 @@ impl Domain {
         config.global.node.cleanup_dead_nodes_on_creation = false;
         config.global.node.cleanup_dead_nodes_on_destruction = false;
         config.global.service.cleanup_dead_nodes_on_open = false;
-        NodeBuilder::new()
+        let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
-            .map_err(|e| fault(e.to_string()))
+            .map_err(|e| fault(e.to_string()))?;
+        self.close_to_others()?;
+        Ok(node)
+    }
+
+    /// Takes every right to the run's shared memory from other users: iceoryx2 gives them all to one file, the count of
+    /// nodes that keeps the nodes' names apart.
+    fn close_to_others(&self) -> Result<(), DomainError> {
+        for file in self.shared_memory()? {
+            let closed = fs::symlink_metadata(&file).and_then(|meta| match meta.mode() & 0o077 {
+                0 => Ok(()),
+                _ => fs::set_permissions(&file, fs::Permissions::from_mode(0o600)),
+            });
+            match closed {
+                // What has gone meanwhile belongs to a process that is leaving.
+                Err(e) if e.kind() != ErrorKind::NotFound => return Err(io_error(&file)(e)),
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// Whether the process that made the run still lives.
@@ -192,50 +211,56 @@ impl Domain {
         }
     }
 
-    /// The run's files in `/dev/shm`, sorted.
+    /// The run's files in `/dev/shm`, sorted. Files of other users are none of this user's run, whatever their names:
+    /// root, who may remove them, could otherwise take the living run of another for what is left of a dead one of its own.
     pub fn shared_memory(&self) -> Result<Vec<PathBuf>, DomainError> {
-        let shm = Path::new(SHM);
         let prefix = self.prefix();
-        let mut files = Vec::new();
-        for entry in fs::read_dir(shm).map_err(io_error(shm))? {
-            let entry = entry.map_err(io_error(shm))?;
-            if entry.file_name().to_string_lossy().starts_with(&prefix) {
-                files.push(entry.path());
-            }
-        }
+        let mut files = own_shared_memory()?;
+        files.retain(|name| name.starts_with(&prefix));
         files.sort();
-        Ok(files)
+        Ok(files.iter().map(|name| Path::new(SHM).join(name)).collect())
     }
 
     /// All runs of this user that have a root or a file in `/dev/shm`, living or dead, in ascending order.
+    ///
+    /// # Errors
+    /// A directory that cannot be listed, or somebody else's in the place of this user's.
     pub fn all() -> Result<Vec<Self>, DomainError> {
         let mut runs = Vec::new();
         let base = base();
-        match fs::read_dir(&base) {
-            Err(e) if e.kind() == ErrorKind::NotFound => {}
-            Err(e) => return Err(io_error(&base)(e)),
-            Ok(entries) => {
-                for entry in entries {
+        // What a link leads to, or another user has made, is not to be removed as if it were a run's.
+        match own(&base) {
+            Err(DomainError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
+            Err(error) => return Err(error),
+            Ok(()) => {
+                for entry in fs::read_dir(&base).map_err(io_error(&base))? {
                     let name = entry.map_err(io_error(&base))?.file_name();
                     runs.extend(u64::from_str_radix(&name.to_string_lossy(), 16));
                 }
             }
         }
-        let shm = Path::new(SHM);
-        for entry in fs::read_dir(shm).map_err(io_error(shm))? {
-            let entry = entry.map_err(io_error(shm))?;
-            // A file that vanished meanwhile belongs to a run that is ending.
-            if entry.metadata().is_ok_and(|m| m.uid() == getuid().as_raw()) {
-                let name = entry.file_name();
-                let name = name.to_string_lossy();
-                let run = name.strip_prefix("trestle_").and_then(|rest| rest.split('_').next());
-                runs.extend(run.and_then(|run| u64::from_str_radix(run, 16).ok()));
-            }
+        for name in own_shared_memory()? {
+            let run = name.strip_prefix("trestle_").and_then(|rest| rest.split('_').next());
+            runs.extend(run.and_then(|run| u64::from_str_radix(run, 16).ok()));
         }
         runs.sort_unstable();
         runs.dedup();
         Ok(runs.into_iter().map(Self::of).collect())
     }
+}
+
+/// The names of this user's files in `/dev/shm`.
+fn own_shared_memory() -> Result<Vec<String>, DomainError> {
+    let shm = Path::new(SHM);
+    let mut names = Vec::new();
+    for entry in fs::read_dir(shm).map_err(io_error(shm))? {
+        let entry = entry.map_err(io_error(shm))?;
+        // A file that vanished meanwhile belongs to a run that is ending.
+        if entry.metadata().is_ok_and(|m| m.uid() == getuid().as_raw()) {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    Ok(names)
 }
 
 /// Refuses a directory that another user could have prepared or could look into.
@@ -276,6 +301,9 @@ mod tests {
         fs::write(domain.root().join("owner"), format!("{} 1\n", std::process::id())).unwrap();
         assert!(!domain.is_alive(), "another process with the same id");
         let node = domain.node().unwrap();
+        let files = domain.shared_memory().unwrap();
+        assert!(!files.is_empty());
+        assert!(files.iter().all(|file| fs::metadata(file).unwrap().mode() & 0o777 == 0o600), "{files:?}");
         drop(node);
         domain.remove().unwrap();
         assert!(!domain.root().exists());
