@@ -95,7 +95,7 @@ pub(crate) fn messages(bytes: &[u8]) {
 
 /// Frames: as they are, and with the header that makes their bytes the body.
 pub(crate) fn frames(bytes: &[u8]) {
-    let plan = Kind { magic: *b"TRPLAN\0\0", version: 2 };
+    let plan = Kind { magic: *b"TRPLAN\0\0", version: 3 };
     let actor = Kind { magic: *b"TRACTOR\0", version: 1 };
     let _ = RunPlan::decode(bytes);
     let _ = RunPlan::decode(&framed(plan, bytes));

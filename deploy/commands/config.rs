@@ -43,7 +43,6 @@ fn show(config: &config::Config) -> Result<()> {
         ("run.episodes", config.run.episodes.is_none()),
         ("run.env_steps", config.run.env_steps.is_none()),
         ("env.layout", config.env.layout.is_none()),
-        ("env.hazard", config.env.hazard.is_unset()),
         ("eval.threshold", config.eval.threshold.is_none()),
     ];
     for (key, _) in unset.iter().filter(|(_, unset)| *unset) {

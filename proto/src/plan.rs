@@ -2,15 +2,13 @@
 //! a child starts.
 
 use crate::codec::{self, CodecError, Kind};
-use crate::config::{Config, EncodingKind, Hazard};
+use crate::config::{Config, EncodingKind};
 use crate::limits::TRANSITIONS_BUFFER;
 use crate::space::EnvSpec;
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
-const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 2 };
-/// A plan whose environment fails on purpose: what it says of that comes behind the plan.
-const HAZARDOUS: Kind = Kind { magic: *b"TRPLANHZ", ..KIND };
+const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 3 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,24 +54,12 @@ impl RunPlan {
 
     /// The plan as bytes of a file.
     pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        let hazard = &self.config.env.hazard;
-        if hazard.is_unset() { codec::encode(KIND, self) } else { codec::encode(HAZARDOUS, &(self, hazard)) }
+        codec::encode(KIND, self)
     }
 
     /// The plan in the bytes of a file.
     pub fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        let other = match codec::decode(KIND, bytes) {
-            Err(other @ CodecError::Kind { .. }) => other,
-            plan => return plan,
-        };
-        match codec::decode::<(Self, Hazard)>(HAZARDOUS, bytes) {
-            Ok((mut plan, hazard)) => {
-                plan.config.env.hazard = hazard;
-                Ok(plan)
-            }
-            Err(CodecError::Kind { .. }) => Err(other),
-            Err(damaged) => Err(damaged),
-        }
+        codec::decode(KIND, bytes)
     }
 
     /// Units of the network's input, hidden layers and output.
@@ -108,58 +94,5 @@ impl RunPlan {
     /// Return from which on an evaluation counts as optimal, if one is known.
     pub fn threshold(&self) -> Option<f64> {
         self.config.eval.threshold.or(self.spec.best_return)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use crate::config::{HazardKind, HazardScope};
-
-    fn plan(hazard: Hazard) -> RunPlan {
-        let mut config = Config::default();
-        config.env.hazard = hazard;
-        let spec = EnvSpec {
-            name: "test".into(),
-            low: vec![0.0],
-            high: vec![1.0],
-            scale: vec![1.0],
-            integral: false,
-            actions: vec!["a".into(), "b".into()],
-            best_return: None,
-            goal_bonus: 0.0,
-        };
-        RunPlan {
-            run: 1,
-            config,
-            spec,
-            mentors: Vec::new(),
-            waypoints: None,
-            resume_tick: Some(7),
-            restarts: 2,
-            generation: 3,
-        }
-    }
-
-    #[test]
-    fn a_hazard_is_part_of_a_plan_and_costs_others_nothing() {
-        let kind = Kind { magic: *b"TRTEST\0\0", version: 1 };
-        let none = plan(Hazard::default());
-        assert_eq!(none.encode().unwrap(), codec::encode(KIND, &none).unwrap());
-        assert_eq!(RunPlan::decode(&none.encode().unwrap()).unwrap(), none);
-        let hazard = Hazard { kind: HazardKind::Stall, after: 70_000, during: HazardScope::Evaluation };
-        let some = plan(hazard);
-        let bytes = some.encode().unwrap();
-        assert_eq!(RunPlan::decode(&bytes).unwrap(), some);
-        // The configuration itself has no byte for it, whatever it is.
-        assert_eq!(codec::encode(kind, &some).unwrap(), codec::encode(kind, &none).unwrap());
-        // Each of the two is known by its name, and neither is mistaken for the other.
-        let mut damaged = bytes.clone();
-        *damaged.last_mut().unwrap() ^= 1;
-        assert!(RunPlan::decode(&damaged).unwrap_err().to_string().starts_with("checksum of TRPLANHZ v2"));
-        let foreign = codec::encode(kind, &none).unwrap();
-        let refusal = RunPlan::decode(&foreign).unwrap_err().to_string();
-        assert_eq!(refusal, "this is TRTEST\\x00\\x00 v1; expected TRPLAN\\x00\\x00 v2");
     }
 }

@@ -64,37 +64,6 @@ pub enum HazardScope {
     Evaluation,
 }
 
-impl Hazard {
-    /// Whether nothing is set, as in every run that is not a test.
-    pub fn is_unset(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
-/// How [`Hazard`] is written as a part of the configuration: in text as any other table (and not at all where it is unset);
-/// in binary form as nothing. So whatever holds no hazard, be it a file or a checksum, is what it would be if there were no
-/// such setting; [`RunPlan`](crate::plan::RunPlan) takes care of the binary form of one.
-pub(super) mod as_text {
-    use super::Hazard;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub(crate) fn serialize<S: Serializer>(hazard: &Hazard, serializer: S) -> Result<S::Ok, S::Error> {
-        if serializer.is_human_readable() {
-            hazard.serialize(serializer)
-        } else {
-            serializer.serialize_unit()
-        }
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hazard, D::Error> {
-        if deserializer.is_human_readable() {
-            Hazard::deserialize(deserializer)
-        } else {
-            <()>::deserialize(deserializer).map(|()| Hazard::default())
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -104,13 +73,6 @@ mod tests {
     fn with(sets: &[&str]) -> Result<Config, String> {
         let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
         load("maze-small", &sets).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn a_configuration_without_a_hazard_does_not_show_that_there_could_be_one() {
-        let config = with(&[]).unwrap();
-        assert!(config.env.hazard.is_unset());
-        assert!(!to_toml(&config).contains("hazard"));
     }
 
     #[test]

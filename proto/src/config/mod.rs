@@ -148,7 +148,6 @@ pub struct Env {
     /// What only `kind = "point-maze"` has.
     pub point_maze: PointMaze,
     /// How the environment fails on purpose, if it does.
-    #[serde(with = "hazard::as_text", skip_serializing_if = "Hazard::is_unset")]
     pub hazard: Hazard,
 }
 
