@@ -133,6 +133,29 @@ impl User {
         self.start_program(&self.program, args)
     }
 
+    /// A training that is in the middle of it, with all its processes stopped. The supervisor is, too, so it can stay so for
+    /// however long.
+    fn stopped_run(&self, args: &[&str]) -> (Process, RunDir) {
+        for attempt in 0..5 {
+            let dir = RunDir::new(format!("{}/run-{attempt}", self.home));
+            let out = dir.root().to_str().unwrap();
+            let mut run = self.start(&[&["train", "--quiet", "--out", out], args].concat());
+            run.wait_for("the training", || dir.evals().exists());
+            // First the supervisor, so that what is over already is still there to be sent a signal.
+            run.signal(Signal::SIGSTOP);
+            let all = processes(dir.root());
+            all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGSTOP));
+            if all.len() == 4 && processes(dir.root()).len() == 4 {
+                return (run, dir);
+            }
+            // It was over first. The supervisor comes last, for the same reason.
+            all.iter().filter(|(pid, _)| *pid != run.pid()).for_each(|(pid, _)| send(*pid, Signal::SIGCONT));
+            run.signal(Signal::SIGCONT);
+            run.finish().ok();
+        }
+        panic!("five trainings were over before they could be stopped");
+    }
+
     /// What `trestle doctor` says to this user, who has nothing to be told of but `runs` runs in progress.
     fn doctor(&self, more: &[&str], runs: usize) -> Outcome {
         let outcome = self.start(&[&["doctor"], more].concat()).finish();
@@ -191,16 +214,7 @@ fn users_do_not_see_each_other() {
     let asks = place.path("asks");
     fs::copy(std::env::current_exe().unwrap(), &asks).unwrap();
     let undisturbed = place.train("undisturbed", &args("3"));
-    let mut runs = [&one, &two].map(|user| {
-        let out = format!("{}/run", user.home);
-        (user.start(&[&["train", "--quiet", "--out", &out], &args("3")[..]].concat()), RunDir::new(out))
-    });
-    for (run, dir) in &mut runs {
-        run.wait_for("an evaluation", || evaluations(dir) > 0);
-        let all = processes(dir.root());
-        assert_eq!(all.len(), 4);
-        all.iter().for_each(|(pid, _)| send(*pid, Signal::SIGSTOP));
-    }
+    let runs = [&one, &two].map(|user| user.stopped_run(&args("3")));
     let [first, second] = [runs[0].1.clone(), runs[1].1.clone()];
     for (user, own, other, others) in [(&one, &first, &two, &second), (&two, &second, &one, &first)] {
         let run = others.read_plan().unwrap().run;
