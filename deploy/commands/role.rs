@@ -108,13 +108,18 @@ fn beat_until_closed() -> io::Result<()> {
         match line.read(&mut byte) {
             Ok(0) => return Ok(()),
             Ok(_) => {}
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+            // Interrupted: it was stopped and goes on. If that happens again and again, no read ever comes to its end.
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+                ) =>
+            {
                 let steps = pulse::steps();
                 // A supervisor that does not read is stopped itself; one that is gone is noticed by the next read.
                 let _ = line.write(&[if steps == seen { pulse::IDLE } else { pulse::BUSY }]);
                 seen = steps;
             }
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
             // The supervisor went before it had read all.
             Err(error) if error.kind() == ErrorKind::ConnectionReset => return Ok(()),
             Err(error) => return Err(error),
