@@ -14,21 +14,14 @@ mod supervise;
 mod sweep;
 
 use clap::Parser;
-use output::say;
+use output::{say, words};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     match commands::run(cli::Cli::parse()) {
         Ok(code) => code,
         Err(error) => {
-            let mut text = error.to_string();
-            for cause in error.chain().skip(1).map(ToString::to_string) {
-                // Many messages end with their cause's words already.
-                if !text.ends_with(&cause) {
-                    text += &format!(": {cause}");
-                }
-            }
-            say(&format!("error: {text}"));
+            say(&format!("error: {}", words(&error)));
             ExitCode::FAILURE
         }
     }

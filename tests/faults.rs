@@ -1,6 +1,7 @@
 //! Faults in the middle of a run, which it survives without a trace in what it learns.
 
-use crate::schedule;
+use crate::client;
+use crate::schedule::{self, KINDS, SHORTAGES};
 use crate::util::{
     LIMIT, Place, Process, Trace, assert_gone, domain, evaluations, newest_checkpoint, process, processes,
     result, send, start, wait_until,
@@ -115,6 +116,25 @@ fn a_stopped_process_is_replaced() {
     }
 }
 
+/// However often: it is slow, but it lives.
+#[test]
+fn a_process_that_is_stopped_again_and_again_is_not_replaced() {
+    let place = Place::new();
+    let args = [&ARGS[..], &["--set", "supervise.silence_s=3"]].concat();
+    let undisturbed = place.train("undisturbed", &args);
+    let mut run = start(&place.training("run", &args));
+    let dir = place.run("run");
+    run.wait_for("an evaluation", || evaluations(&dir) > 0);
+    let slow = ["learner", "mentor-server"].map(|role| process(dir.root(), role).unwrap());
+    for _ in 0..20 {
+        for (signal, ms) in [(Signal::SIGSTOP, 220), (Signal::SIGCONT, 30)] {
+            slow.iter().for_each(|pid| send(*pid, signal));
+            assert!(!wait_until(Duration::from_millis(ms), || !run.is_running()));
+        }
+    }
+    survived(&place, run, "run", 0, &undisturbed);
+}
+
 /// Nobody dies of it that the supervisor itself, or the whole run, has been stopped.
 #[test]
 fn a_pause_is_no_death() {
@@ -136,8 +156,17 @@ fn a_pause_is_no_death() {
 /// A short piece of what `cargo test --test faults` plays at length.
 #[test]
 fn a_schedule_of_faults_changes_nothing() {
-    let summary = schedule::play(Mode::Lockstep, 1, 12, &schedule::KINDS, |_| {});
+    let summary = schedule::play(Mode::Lockstep, 1, 12, &KINDS[..SHORTAGES], |_| {});
     assert_eq!(summary.faults, 12);
+}
+
+/// The same of full file systems, of a mentor-server that is slow, and of its clients.
+#[test]
+fn a_schedule_of_shortages_changes_nothing() {
+    client::be_one();
+    let summary = schedule::play(Mode::Lockstep, 7, 8, &KINDS[SHORTAGES..], |_| {});
+    assert_eq!(summary.faults, 8);
+    assert!(summary.clients > 0);
 }
 
 /// Somebody who takes the name of an actor and sends what cannot be right: the learner says what is wrong and ends, and the

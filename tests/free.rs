@@ -1,6 +1,6 @@
 //! Free mode: what is counted, and processes that are replaced while the others go on.
 
-use crate::schedule::{self, Kind};
+use crate::schedule::{self, KINDS, Kind, SHORTAGES};
 use crate::util::{
     Place, Process, assert_gone, counted, evaluations, metrics, newest_checkpoint, process, result, send,
     start,
@@ -198,4 +198,11 @@ fn a_complete_run_is_prolonged() {
 fn a_schedule_of_faults_loses_and_doubles_nothing() {
     let kinds = [Kind::Kill, Kind::Stop, Kind::Pause];
     assert_eq!(schedule::play(Mode::Free, 1, 12, &kinds, |_| {}).faults, 12);
+}
+
+#[test]
+fn a_schedule_of_shortages_loses_and_doubles_nothing() {
+    let summary = schedule::play(Mode::Free, 1, 8, &KINDS[SHORTAGES..], |_| {});
+    assert_eq!(summary.faults, 8);
+    assert!(summary.clients > 0);
 }

@@ -1,9 +1,11 @@
-//! Faults at length: `cargo test --test faults -- --mode lockstep --seed 1 --faults 200 --kinds kill,stop,pause,torn,version`.
-//! Any of the arguments may be left out. Prints a line a run, and the time of recovery after a kill; fails at the first run
-//! that does not end as it should. Not part of `cargo test` unless it is named.
+//! Faults at length: `cargo test --test faults -- --mode lockstep --seed 1 --faults 200 --kinds kill,shm,slow`. Any of the
+//! arguments may be left out. Prints a line a run, and the time of recovery after a kill; fails at the first run that does
+//! not end as it should. Not part of `cargo test` unless it is named.
 
 #![allow(clippy::unwrap_used)]
 
+mod client;
+mod room;
 mod schedule;
 // It serves many tests; this one needs a part of it.
 #[allow(dead_code)]
@@ -13,6 +15,7 @@ use schedule::{KINDS, Kind};
 use trestle_proto::config::Mode;
 
 fn main() {
+    client::be_one();
     let (mut mode, mut seed, mut faults, mut kinds) = (Mode::Lockstep, 1, 200, KINDS.to_vec());
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
@@ -42,6 +45,7 @@ fn main() {
     let (median, p99) = (within(0.5), within(0.99));
     println!("{} faults in {} runs, all of which ended as they should", summary.faults, summary.runs);
     println!("recovery after {} kills: median {median} ms, p99 {p99} ms", summary.recoveries.len());
+    println!("{} runs ended for want of room and went on later; {} clients", summary.ends, summary.clients);
 }
 
 fn kind(name: &str) -> Kind {

@@ -4,14 +4,19 @@
 //! run itself sets. Times between marks are the machine's, so that a schedule that is played again meets the run at about,
 //! not exactly, the same instructions.
 
+use crate::client::Client;
+use crate::room::{self, Hog, SHARED_MEMORY};
 use crate::util::{
-    LIMIT, Place, Process, Trace, assert_gone, evaluations, process, processes, result, start, wait_until,
+    LIMIT, Outcome, Place, Process, Trace, assert_gone, evaluations, logs, process, processes, result, start,
+    wait_until,
 };
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
+use std::panic::resume_unwind;
+use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::{Duration, Instant};
 use trestle_learner::checkpoint;
 use trestle_proto::config::Mode;
@@ -32,10 +37,43 @@ pub(crate) enum Kind {
     Torn,
     /// The newest checkpoint says that it is of another version, and then the process is killed.
     Version,
+    /// Shared memory is full for a while, in which the process may be killed.
+    Shm,
+    /// The disk that the run's directory is on is full for a while, in which the process may be killed.
+    Disk,
+    /// The mentor-server is slow: stopped once for long or many times for a moment, never for long enough to count as dead.
+    Slow,
+    /// Clients ask the mentor-server, and are stopped without having read the answer. They go away later.
+    Deaf,
 }
 
-/// Every kind of fault.
-pub(crate) const KINDS: [Kind; 5] = [Kind::Kill, Kind::Stop, Kind::Pause, Kind::Torn, Kind::Version];
+/// Every kind of fault: those that befall one process, and from [`SHORTAGES`] on those of which a run may not notice anything.
+pub(crate) const KINDS: [Kind; 9] = [
+    Kind::Kill,
+    Kind::Stop,
+    Kind::Pause,
+    Kind::Torn,
+    Kind::Version,
+    Kind::Shm,
+    Kind::Disk,
+    Kind::Slow,
+    Kind::Deaf,
+];
+
+/// See [`KINDS`].
+#[allow(dead_code)] // Played at length they are named.
+pub(crate) const SHORTAGES: usize = 5;
+
+impl Kind {
+    /// What runs out, if something does: the words of which a run that ends for want of it must say one.
+    fn lacks(self) -> Option<&'static [&'static str]> {
+        match self {
+            Self::Shm => Some(&["/dev/shm", "shared memory"]),
+            Self::Disk => Some(&["No space left on device", "cannot create the run's services"]),
+            _ => None,
+        }
+    }
+}
 
 /// Whom it befalls.
 const ROLES: [&str; 4] = ["actor", "learner", "mentor-server", "supervisor"];
@@ -71,6 +109,11 @@ const ENV_STEPS: u64 = 24_000;
 /// Faults that one run has to stand, unless it ends before.
 const PER_RUN: u64 = 6;
 
+/// Clients that a mentor-server has room for, beside the learner.
+const CLIENTS: u64 = 7;
+/// How long those of them wait that wait at all.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// One fault.
 #[derive(Clone, Copy, Debug)]
 struct Fault {
@@ -98,15 +141,20 @@ impl Fault {
         }
     }
 
-    /// The process that it befalls; one that is not there is replaced by the learner.
-    fn role(&self, config: &[&str]) -> String {
+    /// The same in a run that is made by `config`, and the process that it befalls. One that is not there is replaced by the
+    /// learner; without a mentor-server, that one is slow as well.
+    fn in_run(self, config: &[&str]) -> (Self, String) {
         let actors = config.iter().skip_while(|arg| **arg != "--actors").nth(1);
         let actors: u64 = actors.map_or(1, |n| n.parse().unwrap());
-        match self.role {
+        let has_mentor = !config.contains(&"dqn");
+        let kind = if self.kind == Kind::Deaf && !has_mentor { Kind::Slow } else { self.kind };
+        let of_mentor = matches!(kind, Kind::Slow | Kind::Deaf) || self.role == "mentor-server";
+        let role = match self.role {
+            _ if of_mentor => if has_mentor { "mentor-server" } else { "learner" }.into(),
             "actor" => format!("actor-{}", self.word % actors),
-            "mentor-server" if config.contains(&"dqn") => "learner".into(),
             role => role.into(),
-        }
+        };
+        (Self { kind, ..self }, role)
     }
 }
 
@@ -117,19 +165,54 @@ pub(crate) struct Summary {
     pub(crate) runs: u64,
     /// From a kill to the moment when the run can go on.
     pub(crate) recoveries: Vec<Duration>,
+    /// How often a run ended for want of room, said so, and went on later.
+    pub(crate) ends: u64,
+    /// Clients that asked and were stopped.
+    pub(crate) clients: u64,
 }
 
 /// Plays `faults` faults of `seed`, of the given kinds, over as many runs in `mode` as that takes. Each must end as an
 /// undisturbed one, in free mode with every step counted once, and without a process or a file left in shared memory; fails
-/// otherwise. Tells `report` of each run.
+/// otherwise. Tells `report` of each run. Where there can be no file systems of its own, kinds that need them are left out.
 pub(crate) fn play(
+    mode: Mode,
+    seed: u64,
+    faults: u64,
+    kinds: &[Kind],
+    report: impl FnMut(&str) + Send,
+) -> Summary {
+    let place = Place::new();
+    let mut kinds = kinds.to_vec();
+    let own = kinds.iter().any(|kind| kind.lacks().is_some()) && room::can_have_own();
+    if !own && !kinds.extract_if(.., |kind| kind.lacks().is_some()).collect::<Vec<_>>().is_empty() {
+        eprintln!("left out, as they need file systems of their own: shm and disk");
+    }
+    if kinds.is_empty() {
+        return Summary::default();
+    }
+    // In a thread that ends with it: nothing would bring a thread back from there.
+    let played = thread::scope(|scope| {
+        let thread = scope.spawn(|| {
+            if own {
+                room::have_own(&place);
+            }
+            play_at(&place, own, mode, seed, faults, &kinds, report)
+        });
+        thread.join()
+    });
+    played.unwrap_or_else(|panic| resume_unwind(panic))
+}
+
+/// The same in `place`, which has file systems of its `own`, or not.
+fn play_at(
+    place: &Place,
+    own: bool,
     mode: Mode,
     seed: u64,
     faults: u64,
     kinds: &[Kind],
     mut report: impl FnMut(&str),
 ) -> Summary {
-    let place = Place::new();
     let mut undisturbed: BTreeMap<usize, Trace> = BTreeMap::new();
     let mut summary = Summary::default();
     while summary.faults < faults {
@@ -137,19 +220,24 @@ pub(crate) fn play(
         let which = (mix(seed ^ number) % CONFIGS.len() as u64) as usize;
         let more: &[&str] = if mode == Mode::Free { &["--mode", "free"] } else { LAGS[which] };
         let args = [&ARGS[..], &["--seed", "3"], CONFIGS[which], more].concat();
-        let mut run = Run::new(&place, number, &args);
+        let mut run = Run::new(place, number, &args);
         let first = summary.faults;
         let mut said = String::new();
         while summary.faults < faults.min(first + PER_RUN) {
-            let fault = Fault::of(seed, summary.faults, kinds);
-            let role = fault.role(CONFIGS[which]);
+            let (fault, role) = Fault::of(seed, summary.faults, kinds).in_run(CONFIGS[which]);
             let Some(took) = run.befall(&fault, &role) else { break };
             summary.faults += 1;
             summary.recoveries.extend(took);
             let took = took.map_or(String::new(), |took| format!(" ({} ms)", took.as_millis()));
             said += &format!(" {:?} {role}{took},", fault.kind);
         }
-        let trace = run.finish();
+        let trace = run.finish(&mut summary);
+        if own {
+            // There is nobody else.
+            let left = [Path::new(SHARED_MEMORY), &room::domains()].map(|dir| fs::read_dir(dir).unwrap());
+            let left: Vec<_> = left.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
+            assert_eq!(left, [] as [PathBuf; 0], "seed {seed}, run {number}:{said}");
+        }
         let hash = trace.weights_sha256[..16].to_string();
         report(&format!("run {number} {:?}:{said} {hash}", CONFIGS[which]));
         if mode == Mode::Free {
@@ -188,6 +276,13 @@ struct Run<'a> {
     dir: RunDir,
     /// None once it has ended.
     process: Option<Process>,
+    /// What has run out since it was started.
+    lacked: Vec<Kind>,
+    /// Those that have been stopped and not yet gone.
+    clients: Vec<Client>,
+    /// How often it ended for want of room, and how many clients have asked.
+    ends: u64,
+    asked: u64,
 }
 
 impl<'a> Run<'a> {
@@ -195,22 +290,44 @@ impl<'a> Run<'a> {
         let name = format!("run-{number}");
         let (args, dir) = (args.to_vec(), place.run(&name));
         let process = Some(start(&place.training(&name, &args)));
-        Self { place, name, args, dir, process }
+        let (lacked, clients) = (Vec::new(), Vec::new());
+        Self { place, name, args, dir, process, lacked, clients, ends: 0, asked: 0 }
     }
 
     /// Waits for `condition`; false if the run has ended by itself, well, before.
     fn reaches(&mut self, mut condition: impl FnMut(&RunDir) -> bool) -> bool {
-        let Some(process) = &mut self.process else { return false };
-        let (mut met, mut running) = (false, true);
+        let mut met = false;
         assert!(wait_until(LIMIT, || {
             met = condition(&self.dir);
-            running = met || process.is_running();
-            met || !running
+            met || !self.goes_on()
         }));
-        if !running && let Some(process) = self.process.take() {
-            process.finish().ok();
-        }
         met
+    }
+
+    /// Whether the run goes on. One that has ended for want of room must have said so, and left nothing; as there is room
+    /// again, it is started again.
+    fn goes_on(&mut self) -> bool {
+        if self.process.as_mut().is_some_and(Process::is_running) {
+            return true;
+        }
+        let Some(outcome) = self.process.take().map(Process::finish) else { return false };
+        if outcome.status.success() {
+            return false;
+        }
+        self.ended_for_want_of_room(outcome);
+        if self.dir.plan().exists() {
+            assert_gone(&self.dir);
+        }
+        self.start_again();
+        self.process.is_some()
+    }
+
+    fn ended_for_want_of_room(&mut self, outcome: Outcome) {
+        let words: Vec<&str> =
+            self.lacked.iter().filter_map(|kind| kind.lacks()).flatten().copied().collect();
+        let outcome = outcome.code(1);
+        assert!(words.iter().any(|word| outcome.stderr.contains(word)), "none of {words:?}: {outcome:?}");
+        self.ends += 1;
     }
 
     /// Lets `fault` befall the process `role` of the run. Returns how long the run took to recover, if it had to; none at
@@ -236,6 +353,10 @@ impl<'a> Run<'a> {
         match fault.kind {
             Kind::Torn => self.damage(fault.word),
             Kind::Version => self.change_version(),
+            Kind::Shm => return Some(self.fill(fault, Path::new(SHARED_MEMORY), pid, role)),
+            Kind::Disk => return Some(self.fill(fault, self.place.root(), pid, role)),
+            Kind::Slow => return Some(hold_up(pid, fault.word)),
+            Kind::Deaf => return Some(self.bring_clients(fault.word)),
             Kind::Kill | Kind::Stop | Kind::Pause => {}
         }
         let (readies, began) = (readies(&self.dir, role), Instant::now());
@@ -257,8 +378,52 @@ impl<'a> Run<'a> {
         Some((recovered && !stops).then(|| began.elapsed()))
     }
 
+    /// Takes all the room at `place` for a while, in which process `pid`, which is `role`, may be killed.
+    fn fill(&mut self, fault: &Fault, place: &Path, pid: Pid, role: &str) -> Option<Duration> {
+        let choices = [33, 34, 35].map(|bit| fault.word >> bit & 1 == 1);
+        let [kills, files, greedy] = choices;
+        self.lacked.push(fault.kind);
+        let mut hog = Hog::new(place, files);
+        let killed = kills && kill(pid, Signal::SIGKILL).is_ok();
+        wait_until(Duration::from_millis(fault.word % 1500), || {
+            if greedy {
+                // Also what the dead leave.
+                hog.take();
+            }
+            false
+        });
+        drop(hog);
+        if killed && role == "supervisor" {
+            self.start_again();
+        }
+        None
+    }
+
+    /// Sends the clients away that are there, and lets others ask and be stopped in the middle of it.
+    fn bring_clients(&mut self, word: u64) -> Option<Duration> {
+        self.send_clients_away();
+        // Every other one never waits for an answer, and the rest is stopped while it does.
+        let patience = |i| if i % 2 == 0 { Duration::ZERO } else { PATIENCE };
+        let come = 1 + word % CLIENTS;
+        self.clients = (0..come).map(|i| Client::start(&self.dir, patience(i))).collect();
+        // Not where the run has just ended, or there is no room for them.
+        self.clients.retain_mut(Client::asks);
+        self.asked += self.clients.len() as u64;
+        wait_until(Duration::from_millis(word >> 8 & 127), || false);
+        self.clients.iter().for_each(Client::stop);
+        None
+    }
+
+    /// Half of them leave in order, half are killed as they are: of both kinds.
+    fn send_clients_away(&mut self) {
+        for (i, client) in self.clients.drain(..).enumerate() {
+            if i % 4 < 2 { client.leave() } else { drop(client) }
+        }
+    }
+
     /// After the death of the supervisor: waits until its children have gone, and does what a user would.
     fn start_again(&mut self) {
+        self.lacked.clear();
         if let Some(process) = self.process.take() {
             process.finish();
         }
@@ -284,14 +449,20 @@ impl<'a> Run<'a> {
         self.process = Some(start(&self.place.training(&self.name, &[&self.args, more].concat())));
     }
 
-    fn finish(mut self) -> Trace {
-        if let Some(process) = self.process.take() {
-            process.finish().ok();
-        }
+    fn finish(mut self, summary: &mut Summary) -> Trace {
+        self.reaches(|_| false);
+        assert_gone(&self.dir);
+        // Nothing comes back with those who go only now.
+        self.send_clients_away();
         assert_gone(&self.dir);
         assert!(!result(&self.dir).interrupted);
+        // A restart would hide it.
+        let logs = logs(&self.dir);
+        assert!(!logs.contains("panicked"), "{logs}");
         let trace = Trace::of(&self.dir);
         fs::remove_dir_all(self.dir.root()).unwrap();
+        summary.ends += self.ends;
+        summary.clients += self.asked;
         trace
     }
 
@@ -342,4 +513,18 @@ impl<'a> Run<'a> {
             let _ = fs::write(&manifest, text);
         }
     }
+}
+
+/// Stops a process once for long or many times for a moment, for less than it takes to count as dead.
+fn hold_up(pid: Pid, word: u64) -> Option<Duration> {
+    let (times, stopped, running) =
+        if word >> 40 & 1 == 0 { (1, 1000 + word % 900, 0) } else { (40, 1 + word % 25, 1 + word % 9) };
+    for _ in 0..times {
+        for (signal, ms) in [(Signal::SIGSTOP, stopped), (Signal::SIGCONT, running)] {
+            // It may have been killed by a supervisor that had other reasons.
+            let _ = kill(pid, signal);
+            wait_until(Duration::from_millis(ms), || false);
+        }
+    }
+    None
 }

@@ -6,6 +6,7 @@
 mod util;
 
 mod bench;
+mod client;
 mod commands;
 mod concurrency;
 mod decoders;
@@ -22,6 +23,7 @@ mod mentors;
 mod point_maze;
 mod query;
 mod resume;
+mod room;
 mod schedule;
 mod shutdown;
 mod sweep;

@@ -314,7 +314,7 @@ pub(crate) fn assert_gone(dir: &RunDir) {
 }
 
 /// What all of the run's processes have logged.
-fn logs(dir: &RunDir) -> String {
+pub(crate) fn logs(dir: &RunDir) -> String {
     let files = fs::read_dir(dir.root().join("logs")).unwrap().map(|entry| entry.unwrap().path());
     files.map(|file| format!("{}:\n{}", file.display(), fs::read_to_string(&file).unwrap())).collect()
 }

@@ -36,7 +36,9 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
             }
             match maze(run) {
                 Ok(maze) => mazes.push((task.name.to_string(), group.arm.to_string(), maze)),
-                Err(error) => notes.push(format!("no maze of {}: {error:#}", run.path.display())),
+                Err(error) => {
+                    notes.push(format!("no maze of {}: {}", run.path.display(), crate::output::words(&error)))
+                }
             }
         }
     }

@@ -254,7 +254,7 @@ fn finished(job: &Job) -> Option<Outcome> {
     }
     match existing(job) {
         Ok(resolved) => resolved.complete(&job.dir).map(|result| Outcome::Complete(Box::new(result))),
-        Err(error) => Some(Outcome::Failed(format!("{error:#}"))),
+        Err(error) => Some(Outcome::Failed(crate::output::words(&error))),
     }
 }
 
@@ -278,7 +278,7 @@ async fn train(job: &Job, display: &Display) -> Outcome {
     match attempt(job, display).await {
         Ok(Ended::Complete(result)) => Outcome::Complete(Box::new(result)),
         Ok(Ended::Interrupted(_)) => Outcome::Unfinished,
-        Err(error) => Outcome::Failed(format!("{error:#}")),
+        Err(error) => Outcome::Failed(crate::output::words(&error)),
     }
 }
 
