@@ -16,6 +16,10 @@ mujoco:
 test:
     .ci/run test
 
+# Every decoder under libFuzzer, for a few seconds; `tests/fuzz/run.sh SECONDS` for longer.
+fuzz:
+    .ci/run fuzz
+
 # Whether everything is formatted (`cargo fmt --all` formats).
 fmt:
     .ci/run fmt

@@ -1,5 +1,7 @@
 //! Whatever reads bytes that others wrote, each as a function of arbitrary bytes that must neither panic nor let anything
-//! unsound through. Driven by `hostile.rs`, and by libFuzzer in `fuzz/`.
+//! unsound through. Driven by `hostile.rs`, and by libFuzzer in `fuzz/`, the library of which this is.
+
+#![allow(clippy::unwrap_used)]
 
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
@@ -23,10 +25,10 @@ use trestle_proto::tick::{STOP, Tick};
 use trestle_proto::weights::WeightsHeader;
 
 /// A decoder, and its name.
-pub(crate) type Decoder = (&'static str, fn(&[u8]));
+pub type Decoder = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub(crate) const ALL: [Decoder; 8] = [
+pub const ALL: [Decoder; 8] = [
     ("messages", messages),
     ("frames", frames),
     ("map", map),
@@ -54,7 +56,7 @@ fn words(bytes: &[u8]) -> Vec<u32> {
 }
 
 /// What arrives in shared memory.
-pub(crate) fn messages(bytes: &[u8]) {
+fn messages(bytes: &[u8]) {
     let (header, payload) = message::<BatchHeader>(bytes);
     let mut batch = Batch::default();
     if batch.receive(header, &payload, DIM, ACTIONS).is_ok() {
@@ -94,7 +96,7 @@ pub(crate) fn messages(bytes: &[u8]) {
 }
 
 /// Frames: as they are, and with the header that makes their bytes the body.
-pub(crate) fn frames(bytes: &[u8]) {
+fn frames(bytes: &[u8]) {
     let plan = Kind { magic: *b"TRPLAN\0\0", version: 3 };
     let actor = Kind { magic: *b"TRACTOR\0", version: 1 };
     let _ = RunPlan::decode(bytes);
@@ -118,7 +120,7 @@ fn framed(kind: Kind, body: &[u8]) -> Vec<u8> {
 }
 
 /// An actor on the smallest of mazes.
-pub(crate) fn worker() -> Worker {
+fn worker() -> Worker {
     let mut config = Config::default();
     config.env.layout = Some("S.\n.G\n".into());
     let env = trestle_actor::env::build(&config.env).unwrap();
@@ -140,7 +142,7 @@ pub(crate) fn worker() -> Worker {
 }
 
 /// A map's text.
-pub(crate) fn map(bytes: &[u8]) {
+fn map(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     if let Ok(map) = Map::parse("map", &text) {
         assert!(map.is_free(map.start()) && map.is_free(map.goal()));
@@ -148,7 +150,7 @@ pub(crate) fn map(bytes: &[u8]) {
 }
 
 /// A configuration's text.
-pub(crate) fn config(bytes: &[u8]) {
+fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     if let Ok(config) = config::parse_toml("config", &text)
         && config.validate().is_ok()
@@ -159,7 +161,7 @@ pub(crate) fn config(bytes: &[u8]) {
 }
 
 /// A demonstration's file.
-pub(crate) fn demonstration(bytes: &[u8]) {
+fn demonstration(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("demo.csv");
     fs::write(&path, bytes).unwrap();
@@ -169,7 +171,7 @@ pub(crate) fn demonstration(bytes: &[u8]) {
 }
 
 /// A file to be imported, whatever its format.
-pub(crate) fn import(bytes: &[u8]) {
+fn import(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("data");
     fs::write(&path, bytes).unwrap();
@@ -180,7 +182,7 @@ pub(crate) fn import(bytes: &[u8]) {
 }
 
 /// The files of a replay: the head, then a segment that begins where bytes 8 to 15 of the head say.
-pub(crate) fn replay(bytes: &[u8]) {
+fn replay(bytes: &[u8]) {
     let mut replay = Replay::new(8, DIM).unwrap();
     let split = bytes.len().min(64 + 8 * 8);
     let (head, segment) = bytes.split_at(split);
@@ -198,7 +200,7 @@ pub(crate) fn replay(bytes: &[u8]) {
 }
 
 /// A MANIFEST that its COMPLETE vouches for.
-pub(crate) fn manifest(bytes: &[u8]) {
+fn manifest(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
     let own = checkpoint::directory(dir.path(), 3);
     fs::create_dir_all(&own).unwrap();
@@ -210,7 +212,7 @@ pub(crate) fn manifest(bytes: &[u8]) {
 }
 
 /// Sound inputs, from which damaged ones are made: a decoder's name and its bytes.
-pub(crate) fn seeds() -> Vec<(&'static str, Vec<u8>)> {
+pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     fn bytes<H: Pod + Zeroable>(header: H, payload: &[u32]) -> Vec<u8> {
         [bytemuck::bytes_of(&header), bytemuck::cast_slice(payload)].concat()
     }

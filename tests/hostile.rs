@@ -1,7 +1,7 @@
 //! Input of peers, files and people that is wrong on purpose: refused by whoever reads it, never a panic.
 
-use crate::decoders::{ALL, seeds};
 use proptest::prelude::*;
+use trestle_fuzz::{ALL, seeds};
 
 /// A change to sound bytes.
 #[derive(Clone, Debug)]

@@ -9,7 +9,6 @@ mod bench;
 mod client;
 mod commands;
 mod concurrency;
-mod decoders;
 mod demonstrations;
 mod determinism;
 mod doctor;
