@@ -27,4 +27,11 @@ for decoder; do
         echo "$decoder: a finding, see above and $log" >&2
         exit 1
     fi
+    # Of the last line that has them: how many inputs, and the features that they reached.
+    done=$(grep ' DONE ' "$log" | sed -n 's/^#\([0-9]*\).* ft: \([0-9]*\).*/\1 inputs, \2 features/p')
+    if [ -z "$done" ]; then
+        echo "$decoder: libFuzzer does not see what the code does, see $log" >&2
+        exit 1
+    fi
+    echo "$decoder: $done"
 done

@@ -180,6 +180,12 @@ impl Domain {
         pid.is_some_and(|pid| start_time(pid).as_deref() == started)
     }
 
+    /// Whether there is something left of a run whose maker does not live. A run that is only just being made has no root, or
+    /// one with a living owner in it; so what this finds stays dead.
+    pub fn is_dead(&self) -> bool {
+        self.root.exists() && !self.is_alive()
+    }
+
     /// Removes the root and all files in `/dev/shm`; none of the run's processes may need them any more. What is
     /// already gone is no error: several processes may be removing the same run.
     pub fn remove(&self) -> Result<(), DomainError> {
@@ -293,13 +299,16 @@ mod tests {
     #[test]
     fn a_domain_is_private_owned_and_leaves_nothing() {
         // Process ids are at most 2^22, so no run of a user, which draws 32 bits, is likely to meet this one.
-        let domain = Domain::create(u64::from(std::process::id()) << 32 | 1).unwrap();
+        let run = u64::from(std::process::id()) << 32 | 1;
+        assert!(!Domain::of(run).is_dead(), "it may be about to be made");
+        let domain = Domain::create(run).unwrap();
+        assert!(!domain.is_dead());
         assert_eq!(fs::metadata(domain.root()).unwrap().mode() & 0o777, 0o700);
         assert!(domain.is_alive());
         assert!(Domain::all().unwrap().contains(&domain));
         assert!(matches!(Domain::create(domain.run()), Err(DomainError::Io { .. })));
         fs::write(domain.root().join("owner"), format!("{} 1\n", std::process::id())).unwrap();
-        assert!(!domain.is_alive(), "another process with the same id");
+        assert!(domain.is_dead() && !domain.is_alive(), "another process with the same id");
         let node = domain.node().unwrap();
         let files = domain.shared_memory().unwrap();
         assert!(!files.is_empty());

@@ -148,7 +148,8 @@ struct Departure(Domain);
 
 impl Drop for Departure {
     fn drop(&mut self) {
-        if self.0.is_alive() {
+        // Not one that has no root yet: whoever comes too early must not remove what is being made.
+        if !self.0.is_dead() {
             return;
         }
         if let Err(error) = self.0.remove() {
