@@ -1,7 +1,8 @@
 #!/bin/sh
 # Every decoder of bytes that others wrote, under libFuzzer, one after the other; on stable Rust, without a sanitizer: what is
 # looked for are panics, overflows and broken promises. Begins from sound inputs and all that earlier runs have found
-# worth keeping, and says how many features (edges by how often they were taken, and comparisons) were reached. Fails at the
+# worth keeping, and says how many inputs there were and how many features (edges by how often they were taken, and comparisons)
+# they reached. Fails at the
 # first finding, which libFuzzer leaves in the corpus, or if it does not see what the code does. Needs a C++ compiler.
 # usage: run.sh [seconds for each, 600] [decoder ...]
 set -eu
@@ -28,10 +29,10 @@ for decoder; do
         exit 1
     fi
     # Of the last line that has them: how many inputs, and the features that they reached.
-    done=$(grep ' DONE ' "$log" | sed -n 's/^#\([0-9]*\).* ft: \([0-9]*\).*/\1 inputs, \2 features/p')
-    if [ -z "$done" ]; then
+    reached=$(grep 'DONE ' "$log" | sed -n 's/^#\([0-9]*\).* ft: \([0-9]*\).*/\1 inputs, \2 features/p')
+    if [ -z "$reached" ]; then
         echo "$decoder: libFuzzer does not see what the code does, see $log" >&2
         exit 1
     fi
-    echo "$decoder: $done"
+    echo "$decoder: $reached"
 done
