@@ -203,7 +203,7 @@ fn a_client_that_comes_too_late_leaves_nothing() {
     kill_all(run, &dir);
     assert!(domain(&dir).root().exists());
     let late = QueryClient::new(&domain(&dir), &early.plan).unwrap_err();
-    assert_eq!(late.to_string(), "joining the run: it is not in progress");
+    assert_eq!(late.to_string(), "joining the run: it is not in progress, or another user's");
     assert_gone(&dir);
     // As if it had been joining while the run was removed.
     domain(&dir).node().unwrap();

@@ -103,7 +103,7 @@ impl<L: ActorLink> Streaming<'_, L> {
         if orders.generation > self.generation {
             tracing::info!(generation = orders.generation, "another learner has come");
             self.generation = orders.generation;
-            self.worker.begin(self.generation << 16);
+            self.worker.begin(self.generation << 16)?;
             (self.sent, self.played, self.pending, self.unreachable) = (0, 0, None, None);
             self.announce(stop)?;
         } else if self.unreachable.is_some_and(|since| since.elapsed() > HANDSHAKE) {

@@ -249,9 +249,18 @@ impl Worker {
     }
 
     /// Goes on as incarnation `incarnation`, at the beginning of an episode. The random streams go on.
-    pub fn begin(&mut self, incarnation: u32) {
+    ///
+    /// # Errors
+    /// An environment whose first state is not finite.
+    pub fn begin(&mut self, incarnation: u32) -> Result<(), ActorError> {
         (self.incarnation, self.seq, self.first) = (incarnation, 0, true);
+        self.reset()
+    }
+
+    /// Begins an episode.
+    fn reset(&mut self) -> Result<(), ActorError> {
         self.env.reset(&mut self.environment, &mut self.obs);
+        check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)
     }
 
     /// Features of an observation.
@@ -314,8 +323,7 @@ impl Worker {
             self.seq += 1;
             self.first = step.terminated || step.truncated;
             if self.first {
-                self.env.reset(&mut self.environment, &mut self.obs);
-                check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)?;
+                self.reset()?;
             } else {
                 std::mem::swap(&mut self.obs, &mut self.next_obs);
             }

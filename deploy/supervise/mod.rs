@@ -346,7 +346,7 @@ async fn watch(
             }
             () = replacing.next() => {
                 match replacing.start(children) {
-                    // What a learner needs for an end in good order takes it a while to have.
+                    // Until its first progress a learner has nothing that an interrupted run could save.
                     Ok(learner) => began &= !learner,
                     Err(error) => {
                         let Some(death) = replacing.deaths().next().cloned() else { return Err(error) };

@@ -112,6 +112,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.run.env_steps = typed.run.env_steps;
     own.run.stop_when_solved = typed.run.stop_when_solved;
     own.supervise = typed.supervise.clone();
+    own.env.hazard = typed.env.hazard;
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
     typed.env.layout.clone_from(&own.env.layout);
@@ -135,7 +136,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
             "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes, run.env_steps, run.stop_when_solved and what is in [supervise]",
+             run.episodes, run.env_steps, run.stop_when_solved and what is in [env.hazard] and [supervise]",
             root.display()
         );
     }

@@ -349,7 +349,7 @@ mod tests {
     use super::*;
     use crate::testing::{World, plan};
     use std::thread;
-    use trestle_proto::batch::BatchHeader;
+    use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
     use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
     use trestle_proto::rundir::RunDir;
     use trestle_proto::transport::ActorLink;
@@ -360,28 +360,29 @@ mod tests {
     /// An actor that the test plays.
     struct Played<'a> {
         plan: &'a RunPlan,
+        index: u32,
         link: LocalActor,
         world: World,
     }
 
     impl Played<'_> {
         fn joins(&mut self, incarnation: u64) {
-            let header = ReplyHeader { run: self.plan.run, tick: incarnation, actor: 0, kind: JOINED };
+            let header =
+                ReplyHeader { run: self.plan.run, tick: incarnation, actor: self.index, kind: JOINED };
             self.link.send_reply(&Reply { header, payload: Vec::new() }).unwrap();
         }
 
         /// Sends a batch whose first transition has number `first_seq`.
         fn sends(&mut self, incarnation: u32, first_seq: u64, count: u32) {
-            let (mut batch, _) = self.world.batch(0, count);
+            let (mut batch, _) = self.world.batch(self.index, count);
             let run = self.plan.run;
             batch.header = BatchHeader { run, incarnation, first_seq, ..batch.header };
             self.link.send_batch(&batch).unwrap();
         }
 
-        fn evaluates(&mut self, evaluation: u64) {
-            let header = ReplyHeader { run: self.plan.run, tick: 0, actor: 0, kind: EVALUATION };
-            let episode =
-                EvaluationEpisode { total_reward: 0.0, length: 1, success: false, path: Vec::new() };
+        fn evaluates(&mut self, evaluation: u64, total_reward: f64) {
+            let header = ReplyHeader { run: self.plan.run, tick: 0, actor: self.index, kind: EVALUATION };
+            let episode = EvaluationEpisode { total_reward, length: 1, success: false, path: Vec::new() };
             let evaluation = Evaluation { evaluation, episodes: vec![episode] };
             let payload = codec::encode(EVALUATION_KIND, &evaluation).unwrap();
             self.link.send_reply(&Reply { header, payload }).unwrap();
@@ -395,10 +396,10 @@ mod tests {
                 if orders.stop == 1 {
                     return false;
                 }
-                if orders.evaluation > 0 {
-                    self.evaluates(orders.evaluation - 1);
+                if orders.evaluation > 0 && self.index == 0 {
+                    self.evaluates(orders.evaluation - 1, 0.0);
                 }
-                let share = orders.shares[0];
+                let share = orders.shares[self.index as usize];
                 if share.incarnation == incarnation && share.counted == batches && share.granted > batches {
                     return true;
                 }
@@ -409,20 +410,24 @@ mod tests {
 
     /// A run of one actor, which `play` plays, with two batches to be on their way at the most.
     fn played(play: impl FnOnce(&mut Played<'_>) + Send) -> Result<RunResult, RunError> {
-        let plan = plan(&[
-            "run.algo=dqn",
-            "run.mode=free",
-            "run.rollout=4",
-            "run.env_steps=20",
-            "eval.every=1000000",
-        ]);
+        played_with(&["eval.every=1000000"], |actors| play(&mut actors[0]))
+    }
+
+    /// The same of several actors, by `sets`.
+    fn played_with(
+        sets: &[&str],
+        play: impl FnOnce(&mut [Played<'_>]) + Send,
+    ) -> Result<RunResult, RunError> {
+        let all = ["run.algo=dqn", "run.mode=free", "run.rollout=4", "run.env_steps=20"];
+        let plan = plan(&[&all[..], sets].concat());
         let dir = tempfile::tempdir().unwrap();
         let dir = RunDir::new(dir.path());
-        let (mut learner, _mentor, mut actors) = local::connect(&plan);
+        let (mut learner, _mentor, actors) = local::connect(&plan);
         thread::scope(|scope| {
             let plan = &plan;
-            let link = actors.remove(0);
-            scope.spawn(move || play(&mut Played { plan, link, world: World::new(plan, 1) }));
+            let actor = |(index, link)| Played { plan, index, link, world: World::new(plan, 1) };
+            let mut actors: Vec<_> = (0..).zip(actors).map(actor).collect();
+            scope.spawn(move || play(&mut actors));
             let session = Session::new(plan, &dir, None, |_| {}).unwrap();
             run(&mut learner, plan, session, &|| false)
         })
@@ -466,8 +471,6 @@ mod tests {
     #[test]
     fn batches_of_a_replaced_actor_are_dropped() {
         let result = played(|actor| {
-            // An evaluation, too: the first one is due at the end only, but its number could be that of one that is due.
-            actor.evaluates(0);
             actor.sends(0, 0, ROLLOUT);
             actor.joins(0);
             assert!(actor.is_counted(0, 0), "what came before the actor had announced itself is not counted");
@@ -485,5 +488,66 @@ mod tests {
             assert!(!actor.is_counted(1, 5), "the run is over");
         });
         assert_eq!(result.unwrap().env_steps, 20);
+    }
+
+    /// Sends what is left of the run's 20 steps, `counted` batches of which have been.
+    fn sends_the_rest(actor: &mut Played<'_>, counted: u64) {
+        for batch in counted..5 {
+            actor.sends(0, 4 * batch, ROLLOUT);
+            if batch < 4 {
+                assert!(actor.is_counted(0, batch + 1));
+            }
+        }
+    }
+
+    /// Waits for orders that ask for an evaluation.
+    fn awaits_evaluation(actor: &mut Played<'_>) -> u64 {
+        for _ in 0..50 {
+            if let Some(orders) = actor.link.recv_orders(WAIT_SLICE).unwrap()
+                && orders.evaluation > 0
+            {
+                return orders.evaluation - 1;
+            }
+        }
+        panic!("nobody asks for an evaluation");
+    }
+
+    #[test]
+    fn what_was_played_for_another_learner_does_not_count() {
+        let result = played_with(&["run.actors=2", "eval.every=1000000"], |actors| {
+            let [player, other] = actors else { panic!("two actors") };
+            other.joins(0);
+            assert!(other.is_counted(0, 0));
+            sends_the_rest(other, 0);
+            let evaluation = awaits_evaluation(player);
+            // With the weights of a learner that is gone, and then with those of this one.
+            player.evaluates(evaluation, 7.0);
+            player.joins(0);
+            player.evaluates(evaluation, 1.0);
+        });
+        assert_eq!(result.unwrap().final_return, Some(1.0));
+    }
+
+    /// One that becomes due while the one before is awaited has to wait, and is played with the weights that there are then.
+    #[test]
+    fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
+        let plan = plan(&["run.algo=dqn", "run.mode=free", "eval.every=1"]);
+        let place = tempfile::tempdir().unwrap();
+        let dir = RunDir::new(place.path());
+        let mut session = Session::new(&plan, &dir, None, |_| {}).unwrap();
+        session.start().unwrap();
+        let mut batch = Batch::default();
+        for (round, flags) in [(1, TERMINATED), (2, 0), (3, 0)] {
+            batch.prepare(BatchHeader { count: 1, obs_dim: 2, ..BatchHeader::default() });
+            batch.set(0, &Transition { obs: &[0.0; 2], next_obs: &[0.0; 2], action: 0, reward: 0.0, flags });
+            session.ingest(&batch, None).unwrap();
+            session.train(round).unwrap();
+        }
+        let asked = session.evaluate().unwrap();
+        assert_eq!(asked.weights_version, 3);
+        let episode = EvaluationEpisode { total_reward: 0.0, length: 1, success: false, path: Vec::new() };
+        session.evaluated(&Evaluation { evaluation: asked.evaluation, episodes: vec![episode] }).unwrap();
+        let rows = std::fs::read_to_string(dir.evals()).unwrap();
+        assert_eq!(rows.lines().last().unwrap().split(',').nth(1), Some("3"), "{rows}");
     }
 }

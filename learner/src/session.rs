@@ -214,7 +214,10 @@ impl<'a> Session<'a> {
     /// The tick that asks for the evaluation that is due, if one is. It is to be sent at once, and answered before
     /// the next one becomes due for the second time.
     pub fn evaluate(&mut self) -> Option<Tick> {
-        self.ordered = Some(self.due.take()?);
+        let due = self.due.take()?;
+        // In free mode it may have had to wait for the one before, and is played with the weights of now.
+        self.ordered =
+            Some(if self.plan.config.run.mode == Mode::Free { self.agent.counters() } else { due });
         let (weights_version, evaluation) = (self.tick, self.evaluations);
         let amount = self.plan.config.eval.episodes;
         Some(Tick { weights_version, evaluation, kind: EVALUATE, amount, ..self.blank() })

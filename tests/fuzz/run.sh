@@ -2,8 +2,8 @@
 # Every decoder of bytes that others wrote, under libFuzzer, one after the other; on stable Rust, without a sanitizer: what is
 # looked for are panics, overflows and broken promises. Begins from sound inputs and all that earlier runs have found
 # worth keeping, and says how many inputs there were and how many features (edges by how often they were taken, and comparisons)
-# they reached. Fails at the
-# first finding, which libFuzzer leaves in the corpus, or if it does not see what the code does. Needs a C++ compiler.
+# they reached. Fails at the first finding, which libFuzzer leaves in the corpus, or if it does not see what the code does. Needs
+# a C++ compiler.
 # usage: run.sh [seconds for each, 600] [decoder ...]
 set -eu
 cd "$(dirname "$0")/../.."

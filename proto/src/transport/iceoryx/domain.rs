@@ -220,9 +220,7 @@ impl Domain {
     /// The run's files in `/dev/shm`, sorted. Files of other users are none of this user's run, whatever their names:
     /// root, who may remove them, could otherwise take the living run of another for what is left of a dead one of its own.
     pub fn shared_memory(&self) -> Result<Vec<PathBuf>, DomainError> {
-        let prefix = self.prefix();
-        let mut files = own_shared_memory()?;
-        files.retain(|name| name.starts_with(&prefix));
+        let mut files = own_shared_memory(&self.prefix())?;
         files.sort();
         Ok(files.iter().map(|name| Path::new(SHM).join(name)).collect())
     }
@@ -245,7 +243,7 @@ impl Domain {
                 }
             }
         }
-        for name in own_shared_memory()? {
+        for name in own_shared_memory("trestle_")? {
             let run = name.strip_prefix("trestle_").and_then(|rest| rest.split('_').next());
             runs.extend(run.and_then(|run| u64::from_str_radix(run, 16).ok()));
         }
@@ -255,15 +253,16 @@ impl Domain {
     }
 }
 
-/// The names of this user's files in `/dev/shm`.
-fn own_shared_memory() -> Result<Vec<String>, DomainError> {
+/// The names of this user's files in `/dev/shm` that begin with `prefix`.
+fn own_shared_memory(prefix: &str) -> Result<Vec<String>, DomainError> {
     let shm = Path::new(SHM);
     let mut names = Vec::new();
     for entry in fs::read_dir(shm).map_err(io_error(shm))? {
         let entry = entry.map_err(io_error(shm))?;
+        let name = entry.file_name().to_string_lossy().into_owned();
         // A file that vanished meanwhile belongs to a run that is ending.
-        if entry.metadata().is_ok_and(|m| m.uid() == getuid().as_raw()) {
-            names.push(entry.file_name().to_string_lossy().into_owned());
+        if name.starts_with(prefix) && entry.metadata().is_ok_and(|m| m.uid() == getuid().as_raw()) {
+            names.push(name);
         }
     }
     Ok(names)

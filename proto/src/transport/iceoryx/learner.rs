@@ -98,7 +98,10 @@ impl IceoryxLearner {
         })
     }
 
+    /// Maps who has come, and lets go of who has gone: what is mapped of a dead process stays in shared memory.
     fn connect(&mut self) -> Result<(), LinkError> {
+        self.observe.update_connections().map_err(failed("mapping the mentor-server"))?;
+        self.query.update_connections().map_err(failed("mapping the mentor-server"))?;
         self.transitions.update_connections().map_err(failed("mapping an actor"))?;
         self.replies.update_connections().map_err(failed("mapping an actor"))?;
         self.weights.update_connections().map_err(failed("mapping an actor"))?;

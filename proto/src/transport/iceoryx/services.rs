@@ -198,7 +198,7 @@ impl Services {
     fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
         let departure = Departure(domain.clone());
         if !domain.is_alive() {
-            return Err(failed("joining the run")("it is not in progress"));
+            return Err(failed("joining the run")("it is not in progress, or another user's"));
         }
         let node = domain.node().map_err(failed("joining the run"))?;
         let sizes = Sizes::of(plan);
