@@ -1,6 +1,6 @@
 //! Where a run's shared resources lie, and how they are removed.
 //!
-//! A run has a root directory `/tmp/trestle-<uid>/<run>` (mode 0700; node and service files, sockets) and files in
+//! A run has a root directory `/tmp/trestle-<uid>/<run>` (mode 0700; node and service files) and files in
 //! `/dev/shm` that begin with `trestle_<run>_` (mode 0600). The root holds a file `owner` with the supervisor's process id and
 //! start time, so that what a dead run left can be told from what a living one needs.
 
@@ -18,10 +18,6 @@ use std::path::{Path, PathBuf};
 /// How often removing a run's root is tried anew when others remove it, too: more than it has processes.
 const REMOVALS: u32 = 2 * MAX_ACTORS;
 const SHM: &str = "/dev/shm";
-/// iceoryx2 adds at most this to root path and prefix in the name of a socket; see `MAX_SOCKET_PATH`.
-const ICEORYX_SUFFIX: usize = 37;
-/// Longest path of a Unix socket with its final zero, bytes (unix(7)).
-const MAX_SOCKET_PATH: usize = 108;
 
 /// A run's place among shared resources that cannot be had.
 #[derive(Debug, thiserror::Error)]
@@ -47,14 +43,6 @@ pub enum DomainError {
         mode: u32,
         /// This user.
         user: u32,
-    },
-    /// The path would not fit into a socket's address.
-    #[error("{path} is too long by {excess} bytes for the sockets below it")]
-    Long {
-        /// The run's root.
-        path: PathBuf,
-        /// By how much.
-        excess: usize,
     },
     /// iceoryx2 could not start.
     #[error("cannot join the run's shared memory under {path}: {message}")]
@@ -101,11 +89,6 @@ impl Domain {
             _ => own(&base)?,
         }
         let domain = Self::of(run);
-        let excess = (domain.root.as_os_str().len() + domain.prefix().len() + ICEORYX_SUFFIX)
-            .saturating_sub(MAX_SOCKET_PATH - 1);
-        if excess > 0 {
-            return Err(DomainError::Long { path: domain.root, excess });
-        }
         // Renamed into place with its owner inside, so that no one ever sees a living run without one; a run of the
         // same identity is in the way of the renaming because its directory is not empty.
         let pid = std::process::id();

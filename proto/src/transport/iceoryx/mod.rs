@@ -2,11 +2,12 @@
 //!
 //! - [`domain`]: where a run's files lie, how they are removed;
 //! - [`services`]: every service with its limits; the supervisor creates and holds them, the others open them;
-//! - `wake`: sleeping until something has come;
+//! - `wake`: sleeping until something has come; `futex`: what is slept on;
 //! - [`actor`], [`learner`], [`mentor`], [`query`]: the roles' ends.
 
 pub mod actor;
 pub mod domain;
+mod futex;
 pub mod learner;
 pub mod mentor;
 pub mod query;
@@ -22,11 +23,9 @@ pub use services::Services;
 
 use super::LinkError;
 use crate::limits::BACKPRESSURE;
+use futex::Ipc;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use std::fmt::Display;
-
-/// The kind of iceoryx2 service in use: between processes, each port on one thread.
-type Ipc = iceoryx2::prelude::ipc::Service;
 
 /// Turns an error of iceoryx2 into ours, saying what was being done.
 fn failed<E: Display>(what: &'static str) -> impl Fn(E) -> LinkError {

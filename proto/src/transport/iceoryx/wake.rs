@@ -10,7 +10,8 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::EventId;
 use iceoryx2::service::port_factory::event::PortFactory;
-use iceoryx2_bb_posix::file_descriptor_set::{FileDescriptorSet, FileDescriptorSetWaitError, FileEvent};
+use iceoryx2_cal::event::ListenerWaitError;
+use iceoryx2_cal::event::event_state::EventActivation;
 use std::time::{Duration, Instant};
 
 /// Something to receive.
@@ -33,28 +34,25 @@ pub(super) const DEAD: usize = 254;
 /// Largest event id in use.
 pub(super) const LAST: usize = 254;
 
-/// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come.
+/// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come. It may also
+/// wake up for nothing.
 ///
-/// A notification whose wake-up is lost is found when the time is over: iceoryx2 wakes a listener up by a datagram, but not
-/// one that it believes to be awake, and two notifiers and a listener at once can leave it with no datagram and in that
-/// belief (`iceoryx2-cal` 0.10, `event/common.rs`). So nobody should sleep for longer than [`WAIT_SLICE`] at a time.
-///
-/// By `select` and then without waiting: the listener's own wait with a timeout makes its socket blocking and back, and sets
-/// the timeout, by five system calls more.
+/// A notification whose wake-up is lost is found when the time is over: iceoryx2 does not wake a listener up that another
+/// notifier has marked as notified, and two notifiers, of which one is killed in the midst of it, can leave that mark on one
+/// that sleeps (`iceoryx2-cal` 0.10, `event/common.rs`). So nobody should sleep for longer than [`WAIT_SLICE`] at a time.
 pub(super) fn sleep(
     listener: &Listener<Ipc>,
     timeout: Duration,
     mut on_event: impl FnMut(usize),
 ) -> Result<(), LinkError> {
-    let sources = FileDescriptorSet::new();
-    let _guard = sources.add(listener).map_err(failed("waiting for an event"))?;
-    match sources.timed_wait(timeout, FileEvent::Read, |_| {}) {
+    let on_event = |event: EventActivation| on_event(event.id.as_value());
+    let slept =
+        if timeout.is_zero() { listener.try_wait(on_event) } else { listener.timed_wait(on_event, timeout) };
+    match slept {
         // A signal for this process: its handler has set a flag that the caller looks at.
-        Err(FileDescriptorSetWaitError::Interrupt) => return Ok(()),
-        Ok(_) => {}
-        Err(e) => return Err(failed("waiting for an event")(e)),
+        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+        Err(e) => Err(failed("waiting for an event")(e)),
     }
-    listener.try_wait(|event| on_event(event.id.as_value())).map(|_| ()).map_err(failed("draining events"))
 }
 
 /// Polls until `poll` gives something or `timeout` is over, asleep in between. A wake-up need not mean data: the

@@ -1,0 +1,250 @@
+//! How a sleeping process is woken up: by a futex in the shared memory of its listener.
+//!
+//! iceoryx2's own trigger between processes is a datagram through a Unix socket: looking for it and taking it are several
+//! system calls, and its wake-up takes longer than that of a futex (`trestle bench tick` shows both). All else of an
+//! event, which ids have come and who listens, is iceoryx2's.
+#![allow(unsafe_code)]
+
+use iceoryx2::prelude::{FileName, Path, ZeroCopySend};
+use iceoryx2::service::Service;
+use iceoryx2::service::internal::ServiceInternal;
+use iceoryx2::service::ipc;
+use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
+use iceoryx2_bb_lock_free::mpmc::counting_bit_set::RelocatableCountingBitSet;
+use iceoryx2_cal::dynamic_storage::DynamicStorage;
+use iceoryx2_cal::event::common::EventImpl;
+use iceoryx2_cal::event::event_state::EventState;
+use iceoryx2_cal::event::trigger::{Configuration, HandlerInterface, State, WaiterInterface};
+use iceoryx2_cal::event::{ListenerCreateError, ListenerWaitError, NotifierNotifyError, NotifierOpenError};
+use iceoryx2_cal::named_concept::{NamedConceptPathHintRemoveError, NamedConceptRemoveError};
+use rustix::io::Errno;
+use rustix::thread::futex::{self, Flags, Timespec};
+use std::fmt::Debug;
+use std::mem::MaybeUninit;
+use std::ptr::NonNull;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+/// The kind of iceoryx2 service in use: between processes, each port on one thread, woken up by futexes.
+#[derive(Debug, Clone)]
+pub struct Ipc {}
+
+impl Service for Ipc {
+    type StaticStorage = <ipc::Service as Service>::StaticStorage;
+    type ConfigSerializer = <ipc::Service as Service>::ConfigSerializer;
+    type PersistentDynamicStorage<T: Debug + Send + Sync + ZeroCopySend + 'static> =
+        <ipc::Service as Service>::PersistentDynamicStorage<T>;
+    type Bag = <ipc::Service as Service>::Bag;
+    type DynamicStorage<T: Debug + Send + Sync + ZeroCopySend + 'static> =
+        <ipc::Service as Service>::DynamicStorage<T>;
+    type ServiceNameHasher = <ipc::Service as Service>::ServiceNameHasher;
+    type SharedMemory = <ipc::Service as Service>::SharedMemory;
+    type ResizableSharedMemory = <ipc::Service as Service>::ResizableSharedMemory;
+    type Connection = <ipc::Service as Service>::Connection;
+    type Event = EventImpl<
+        RelocatableCountingBitSet,
+        Futex,
+        <ipc::Service as Service>::DynamicStorage<State<RelocatableCountingBitSet, Futex>>,
+        Waker,
+        Sleeper,
+    >;
+    type Monitoring = <ipc::Service as Service>::Monitoring;
+    type Reactor = <ipc::Service as Service>::Reactor;
+    type ArcThreadSafetyPolicy<T: Send + Debug + Abandonable> =
+        <ipc::Service as Service>::ArcThreadSafetyPolicy<T>;
+    type BlackboardMgmt<T: Send + Sync + Debug + ZeroCopySend + 'static> =
+        <ipc::Service as Service>::BlackboardMgmt<T>;
+    type BlackboardPayload = <ipc::Service as Service>::BlackboardPayload;
+    type UniqueId = <ipc::Service as Service>::UniqueId;
+}
+
+impl ServiceInternal<Ipc> for Ipc {}
+
+/// Nobody sleeps, and nothing has come.
+const IDLE: u32 = 0;
+/// Something has come.
+const NOTIFIED: u32 = 1;
+/// The listener sleeps.
+const ASLEEP: u32 = 2;
+
+/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever else a peer may write wakes nobody up,
+/// or for nothing.
+#[derive(Debug)]
+#[repr(transparent)]
+pub struct Futex(AtomicU32);
+
+// SAFETY: a plain number without padding, pointers or a destructor, valid whatever its bits are and wherever it is mapped.
+unsafe impl ZeroCopySend for Futex {}
+
+impl Futex {
+    /// Wakes the listener up if it sleeps, or else keeps it from falling asleep.
+    fn notify(&self) -> Result<(), Errno> {
+        if self.0.swap(NOTIFIED, Ordering::AcqRel) == ASLEEP {
+            futex::wake(&self.0, Flags::empty(), 1)?;
+        }
+        Ok(())
+    }
+
+    /// Forgets that it was notified. Only for the listener.
+    fn clear(&self) {
+        self.0.store(IDLE, Ordering::Release);
+    }
+
+    /// Sleeps until notified, or for `timeout` (in which the machine's sleep does not count) at the most, or for no reason
+    /// that the listener would know of; at once if it was notified before. Only for the listener.
+    ///
+    /// # Errors
+    /// `EINTR` if a signal came first; a notification is then still there.
+    fn wait(&self, timeout: Option<&Timespec>) -> Result<(), Errno> {
+        let mut waited = Ok(());
+        if self.0.compare_exchange(IDLE, ASLEEP, Ordering::AcqRel, Ordering::Acquire).is_ok() {
+            waited = futex::wait(&self.0, Flags::empty(), ASLEEP, timeout);
+        }
+        match waited {
+            Ok(()) | Err(Errno::AGAIN | Errno::TIMEDOUT) => {
+                self.clear();
+                Ok(())
+            }
+            Err(error) => {
+                let _ = self.0.compare_exchange(ASLEEP, IDLE, Ordering::AcqRel, Ordering::Acquire);
+                Err(error)
+            }
+        }
+    }
+}
+
+/// The notifier's end.
+#[derive(Debug)]
+pub struct Waker(&'static Futex);
+
+impl Abandonable for Waker {
+    unsafe fn abandon_in_place(_: NonNull<Self>) {}
+}
+
+impl<E, S> HandlerInterface<E, Futex, S> for Waker
+where
+    E: EventState,
+    S: DynamicStorage<State<E, Futex>>,
+{
+    fn open(_: &FileName, _: &Configuration, futex: &Futex) -> Result<Self, NotifierOpenError> {
+        // SAFETY: the futex lies in memory that iceoryx2 keeps mapped for as long as it keeps this (`Handle` in
+        // iceoryx2-cal's event/common.rs), and nobody ever has a mutable reference to it there.
+        Ok(Self(unsafe { NonNull::from_ref(futex).as_ref() }))
+    }
+
+    fn notify(&self) -> Result<(), NotifierNotifyError> {
+        self.0.notify().map_err(|_| NotifierNotifyError::InternalFailure)
+    }
+}
+
+/// The listener's end.
+#[derive(Debug)]
+pub struct Sleeper(&'static Futex);
+
+impl Sleeper {
+    fn sleep(&self, timeout: Option<&Timespec>) -> Result<(), ListenerWaitError> {
+        self.0.wait(timeout).map_err(|error| match error {
+            Errno::INTR => ListenerWaitError::InterruptSignal,
+            _ => ListenerWaitError::InternalFailure,
+        })
+    }
+}
+
+impl Abandonable for Sleeper {
+    unsafe fn abandon_in_place(_: NonNull<Self>) {}
+}
+
+impl<E, S> WaiterInterface<E, Futex, S> for Sleeper
+where
+    E: EventState,
+    S: DynamicStorage<State<E, Futex>>,
+{
+    const IS_FILE_DESCRIPTOR_BASED: bool = false;
+
+    unsafe fn remove(_: &FileName, _: &Configuration) -> Result<bool, NamedConceptRemoveError> {
+        // It has no file of its own.
+        Ok(true)
+    }
+
+    fn remove_path_hint(_: &Path) -> Result<(), NamedConceptPathHintRemoveError> {
+        Ok(())
+    }
+
+    fn create(
+        _: &FileName,
+        _: &Configuration,
+        place: &mut MaybeUninit<Futex>,
+    ) -> Result<Self, ListenerCreateError> {
+        let futex = NonNull::from_mut(place.write(Futex(AtomicU32::new(IDLE))));
+        // SAFETY: as with `Waker`; the mutable reference from which this comes ends with this call.
+        Ok(Self(unsafe { futex.as_ref() }))
+    }
+
+    fn try_wait(&self) -> Result<(), ListenerWaitError> {
+        self.0.clear();
+        Ok(())
+    }
+
+    fn timed_wait(&self, timeout: Duration) -> Result<(), ListenerWaitError> {
+        // So long a time is as good as none.
+        self.sleep(Timespec::try_from(timeout).ok().as_ref())
+    }
+
+    fn blocking_wait(&self) -> Result<(), ListenerWaitError> {
+        self.sleep(None)
+    }
+
+    fn empty_buffer(&self) -> Result<(), ListenerWaitError> {
+        self.0.clear();
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::thread;
+    use std::time::Instant;
+
+    const LONG: Timespec = Timespec { tv_sec: 600, tv_nsec: 0 };
+    const SHORT: Timespec = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
+
+    #[test]
+    fn a_notification_of_before_is_not_lost_and_counts_once() {
+        let futex = Futex(AtomicU32::new(IDLE));
+        futex.notify().unwrap();
+        futex.notify().unwrap();
+        let start = Instant::now();
+        futex.wait(Some(&LONG)).unwrap();
+        assert!(start.elapsed() < Duration::from_secs(LONG.tv_sec as u64));
+        let start = Instant::now();
+        futex.wait(Some(&SHORT)).unwrap();
+        assert!(start.elapsed() >= Duration::from_millis(1));
+        futex.notify().unwrap();
+        futex.clear();
+        let start = Instant::now();
+        futex.wait(Some(&SHORT)).unwrap();
+        assert!(start.elapsed() >= Duration::from_millis(1));
+    }
+
+    /// Were one wake-up lost, this would take ten minutes.
+    #[test]
+    fn every_notification_wakes_up() {
+        let [there, back] = [(); 2].map(|()| Futex(AtomicU32::new(IDLE)));
+        let start = Instant::now();
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                for _ in 0..10_000 {
+                    there.wait(Some(&LONG)).unwrap();
+                    back.notify().unwrap();
+                }
+            });
+            for _ in 0..10_000 {
+                there.notify().unwrap();
+                back.wait(Some(&LONG)).unwrap();
+            }
+        });
+        assert!(start.elapsed() < Duration::from_secs(LONG.tv_sec as u64));
+    }
+}
