@@ -42,7 +42,7 @@ instructions:
 
 # Known vulnerabilities; needs the network for the advisory database, so CI leaves it out.
 advisories:
-    cargo deny check advisories
+    cargo deny --workspace check advisories
 
 # A first run.
 demo:

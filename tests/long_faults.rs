@@ -42,10 +42,17 @@ fn main() {
         let at = (q * recoveries.len() as f64).ceil() as usize;
         recoveries.get(at.saturating_sub(1)).map_or(0, std::time::Duration::as_millis)
     };
-    let (median, p99) = (within(0.5), within(0.99));
     println!("{} faults in {} runs, all of which ended as they should", summary.faults, summary.runs);
-    println!("recovery after {} kills: median {median} ms, p99 {p99} ms", summary.recoveries.len());
-    println!("{} runs ended for want of room and went on later; {} clients", summary.ends, summary.clients);
+    if !recoveries.is_empty() {
+        let (median, p99) = (within(0.5), within(0.99));
+        println!("recovery after {} kills: median {median} ms, p99 {p99} ms", recoveries.len());
+    }
+    if summary.ends > 0 || summary.clients > 0 {
+        println!(
+            "{} runs ended for want of room and went on later; {} clients",
+            summary.ends, summary.clients
+        );
+    }
 }
 
 fn kind(name: &str) -> Kind {

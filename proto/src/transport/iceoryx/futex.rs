@@ -1,8 +1,9 @@
 //! How a sleeping process is woken up: by a futex in the shared memory of its listener.
 //!
 //! iceoryx2's own trigger between processes is a datagram through a Unix socket: looking for it and taking it are several
-//! system calls, and its wake-up takes longer than that of a futex (`trestle bench tick` shows both). All else of an
-//! event, which ids have come and who listens, is iceoryx2's.
+//! system calls, and its wake-up takes longer than that of a futex. All else of an event, which ids have come and who
+//! listens, is iceoryx2's. Its state of a listener (`notification_state` in iceoryx2-cal's `event/common.rs`) says whether a
+//! notifier need call this trigger at all.
 #![allow(unsafe_code)]
 
 use iceoryx2::prelude::{FileName, Path, ZeroCopySend};
@@ -10,10 +11,10 @@ use iceoryx2::service::Service;
 use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::ipc;
 use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
-use iceoryx2_bb_lock_free::mpmc::counting_bit_set::RelocatableCountingBitSet;
 use iceoryx2_cal::dynamic_storage::DynamicStorage;
 use iceoryx2_cal::event::common::EventImpl;
 use iceoryx2_cal::event::event_state::EventState;
+use iceoryx2_cal::event::event_state::counting_bit_set::RelocatableCountingBitSet;
 use iceoryx2_cal::event::trigger::{Configuration, HandlerInterface, State, WaiterInterface};
 use iceoryx2_cal::event::{ListenerCreateError, ListenerWaitError, NotifierNotifyError, NotifierOpenError};
 use iceoryx2_cal::named_concept::{NamedConceptPathHintRemoveError, NamedConceptRemoveError};
@@ -67,8 +68,8 @@ const NOTIFIED: u32 = 1;
 /// The listener sleeps.
 const ASLEEP: u32 = 2;
 
-/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever else a peer may write wakes nobody up,
-/// or for nothing.
+/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever else a peer may write there costs one wait
+/// that ends at once.
 #[derive(Debug)]
 #[repr(transparent)]
 pub struct Futex(AtomicU32);
@@ -79,7 +80,8 @@ unsafe impl ZeroCopySend for Futex {}
 impl Futex {
     /// Wakes the listener up if it sleeps, or else keeps it from falling asleep.
     fn notify(&self) -> Result<(), Errno> {
-        if self.0.swap(NOTIFIED, Ordering::AcqRel) == ASLEEP {
+        // Also where another has notified it and may have been stopped before it could wake it up.
+        if self.0.swap(NOTIFIED, Ordering::AcqRel) != IDLE {
             futex::wake(&self.0, Flags::empty(), 1)?;
         }
         Ok(())
@@ -87,14 +89,15 @@ impl Futex {
 
     /// Forgets that it was notified. Only for the listener.
     fn clear(&self) {
-        self.0.store(IDLE, Ordering::Release);
+        // With all that the notifiers did before: their events are looked at next.
+        self.0.swap(IDLE, Ordering::AcqRel);
     }
 
     /// Sleeps until notified, or for `timeout` (in which the machine's sleep does not count) at the most, or for no reason
-    /// that the listener would know of; at once if it was notified before. Only for the listener.
+    /// that the listener would know of; not at all if it was notified before. Only for the listener.
     ///
     /// # Errors
-    /// `EINTR` if a signal came first; a notification is then still there.
+    /// `EINTR` if a signal came first, which it never does without a `timeout`; a notification is then still there.
     fn wait(&self, timeout: Option<&Timespec>) -> Result<(), Errno> {
         let mut waited = Ok(());
         if self.0.compare_exchange(IDLE, ASLEEP, Ordering::AcqRel, Ordering::Acquire).is_ok() {
@@ -176,7 +179,8 @@ where
         place: &mut MaybeUninit<Futex>,
     ) -> Result<Self, ListenerCreateError> {
         let futex = NonNull::from_mut(place.write(Futex(AtomicU32::new(IDLE))));
-        // SAFETY: as with `Waker`; the mutable reference from which this comes ends with this call.
+        // SAFETY: as with `Waker`, and iceoryx2's `Waiter`; the mutable reference by which its initialiser got here is not used
+        // for these bytes again.
         Ok(Self(unsafe { futex.as_ref() }))
     }
 
@@ -186,16 +190,18 @@ where
     }
 
     fn timed_wait(&self, timeout: Duration) -> Result<(), ListenerWaitError> {
-        // So long a time is as good as none.
-        self.sleep(Timespec::try_from(timeout).ok().as_ref())
+        let tv_sec = timeout.as_secs().try_into().unwrap_or(i64::MAX);
+        self.sleep(Some(&Timespec { tv_sec, tv_nsec: timeout.subsec_nanos().into() }))
     }
 
     fn blocking_wait(&self) -> Result<(), ListenerWaitError> {
         self.sleep(None)
     }
 
+    /// Leaves a notification where it is: the next wait is then over at once, for nothing. iceoryx2 calls this when the
+    /// listener counts as idle again, so that it could take away what a notifier has just put there, who would then mark the
+    /// sleeping listener as notified, and nobody would wake it up any more.
     fn empty_buffer(&self) -> Result<(), ListenerWaitError> {
-        self.0.clear();
         Ok(())
     }
 }
@@ -231,18 +237,27 @@ mod tests {
     /// Were one wake-up lost, this would take ten minutes.
     #[test]
     fn every_notification_wakes_up() {
-        let [there, back] = [(); 2].map(|()| Futex(AtomicU32::new(IDLE)));
+        let [there, back] = [(); 2].map(|()| (Futex(AtomicU32::new(IDLE)), AtomicU32::new(0)));
+        let until = |(futex, sent): &(Futex, AtomicU32), number: u32| {
+            while sent.load(Ordering::Acquire) < number {
+                futex.wait(Some(&LONG)).unwrap();
+            }
+        };
+        let send = |(futex, sent): &(Futex, AtomicU32), number: u32| {
+            sent.store(number, Ordering::Release);
+            futex.notify().unwrap();
+        };
         let start = Instant::now();
         thread::scope(|scope| {
             scope.spawn(|| {
-                for _ in 0..10_000 {
-                    there.wait(Some(&LONG)).unwrap();
-                    back.notify().unwrap();
+                for number in 1..=10_000 {
+                    until(&there, number);
+                    send(&back, number);
                 }
             });
-            for _ in 0..10_000 {
-                there.notify().unwrap();
-                back.wait(Some(&LONG)).unwrap();
+            for number in 1..=10_000 {
+                send(&there, number);
+                until(&back, number);
             }
         });
         assert!(start.elapsed() < Duration::from_secs(LONG.tv_sec as u64));

@@ -38,8 +38,9 @@ pub(super) const LAST: usize = 254;
 /// wake up for nothing.
 ///
 /// A notification whose wake-up is lost is found when the time is over: iceoryx2 does not wake a listener up that another
-/// notifier has marked as notified, and two notifiers, of which one is killed in the midst of it, can leave that mark on one
-/// that sleeps (`iceoryx2-cal` 0.10, `event/common.rs`). So nobody should sleep for longer than [`WAIT_SLICE`] at a time.
+/// notifier has marked as notified (`iceoryx2-cal` 0.10, `event/common.rs`), and of two notifiers one that is killed or stopped
+/// in the midst of it can leave that mark on a listener that sleeps. So nobody should sleep for longer than [`WAIT_SLICE`] at a
+/// time.
 pub(super) fn sleep(
     listener: &Listener<Ipc>,
     timeout: Duration,
@@ -86,4 +87,57 @@ pub(super) fn listener(service: &PortFactory<Ipc>) -> Result<Listener<Ipc>, Link
 
 pub(super) fn notifier(service: &PortFactory<Ipc>) -> Result<Notifier<Ipc>, LinkError> {
     service.notifier_builder().create().map_err(failed("creating a notifier"))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::transport::iceoryx::Domain;
+    use iceoryx2::node::Node;
+    use iceoryx2::prelude::ServiceName;
+    use std::sync::Barrier;
+    use std::thread;
+
+    const ROUNDS: u32 = 100;
+
+    /// Two threads, each with what belongs to it mapped at an address of its own, as in two processes.
+    #[test]
+    fn notifications_wake_up_whoever_sleeps_elsewhere() {
+        let domain = Domain::create(u64::from(std::process::id()) << 32 | 3).unwrap();
+        let service = |node: &Node<Ipc>, name: &str| {
+            node.service_builder(&ServiceName::new(name).unwrap()).event().open_or_create().unwrap()
+        };
+        let barrier = Barrier::new(2);
+        // Sends first or answers, and returns how long the sleeps took.
+        let play = |mine: &str, theirs: &str, first: bool| {
+            let node = domain.node().unwrap();
+            let listener = listener(&service(&node, mine)).unwrap();
+            barrier.wait();
+            let notifier = notifier(&service(&node, theirs)).unwrap();
+            barrier.wait();
+            let start = Instant::now();
+            for _ in 0..ROUNDS {
+                if first {
+                    notify(&notifier, DATA).unwrap();
+                }
+                let mut come = false;
+                while !come {
+                    sleep(&listener, WAIT_SLICE, |event| come |= event == DATA).unwrap();
+                }
+                if !first {
+                    notify(&notifier, DATA).unwrap();
+                }
+            }
+            let took = start.elapsed();
+            barrier.wait();
+            took
+        };
+        let took = thread::scope(|scope| {
+            scope.spawn(|| play("there", "back", false));
+            play("back", "there", true)
+        });
+        domain.remove().unwrap();
+        assert!(took < ROUNDS / 2 * WAIT_SLICE, "{took:?}: nobody was woken up");
+    }
 }
