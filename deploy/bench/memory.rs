@@ -40,16 +40,13 @@ fn row(algo: &str, env_steps: u64) -> Result<Row> {
         .with("replay_bytes_each", bytes_per_transition(DIM)))
 }
 
-/// The most that the processes of `run` held at any moment, with their number then.
+/// How many processes `run` had at most, and the most that they held at any moment.
 fn peak(mut run: Child) -> Result<(usize, u64)> {
     let mut most = (0, 0);
     let status = loop {
         let family = [run.id()].into_iter().chain(children(run.id()));
         let held: Vec<u64> = family.filter_map(held).collect();
-        let sum: u64 = held.iter().sum();
-        if sum > most.1 {
-            most = (held.len(), sum);
-        }
+        most = (most.0.max(held.len()), most.1.max(held.iter().sum()));
         match run.try_wait()? {
             Some(status) => break status,
             None => thread::sleep(INTERVAL),

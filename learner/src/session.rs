@@ -73,7 +73,8 @@ pub struct Session<'a> {
     tick: u64,
     /// Number of the next evaluation.
     evaluations: u64,
-    /// The counts at which an evaluation became due; it is played with the weights of that moment.
+    /// The counts at which an evaluation became due. In lockstep it is played with the weights of that moment, in free mode
+    /// with those of the moment in which it is asked for.
     due: Option<Counters>,
     /// The same of the evaluation that has been asked for and not yet answered.
     ordered: Option<Counters>,

@@ -68,8 +68,8 @@ const NOTIFIED: u32 = 1;
 /// The listener sleeps.
 const ASLEEP: u32 = 2;
 
-/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever else a peer may write there costs one wait
-/// that ends at once.
+/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever a peer may write there costs one wait that ends
+/// at once, or lasts for its whole time.
 #[derive(Debug)]
 #[repr(transparent)]
 pub struct Futex(AtomicU32);
@@ -97,11 +97,13 @@ impl Futex {
     /// that the listener would know of; not at all if it was notified before. Only for the listener.
     ///
     /// # Errors
-    /// `EINTR` if a signal came first, which it never does without a `timeout`; a notification is then still there.
-    fn wait(&self, timeout: Option<&Timespec>) -> Result<(), Errno> {
+    /// `EINTR` if a signal came first; a notification is then still there.
+    fn wait(&self, timeout: Duration) -> Result<(), Errno> {
+        let tv_sec = timeout.as_secs().try_into().unwrap_or(i64::MAX);
+        let timeout = Timespec { tv_sec, tv_nsec: timeout.subsec_nanos().into() };
         let mut waited = Ok(());
         if self.0.compare_exchange(IDLE, ASLEEP, Ordering::AcqRel, Ordering::Acquire).is_ok() {
-            waited = futex::wait(&self.0, Flags::empty(), ASLEEP, timeout);
+            waited = futex::wait(&self.0, Flags::empty(), ASLEEP, Some(&timeout));
         }
         match waited {
             Ok(()) | Err(Errno::AGAIN | Errno::TIMEDOUT) => {
@@ -144,15 +146,6 @@ where
 #[derive(Debug)]
 pub struct Sleeper(&'static Futex);
 
-impl Sleeper {
-    fn sleep(&self, timeout: Option<&Timespec>) -> Result<(), ListenerWaitError> {
-        self.0.wait(timeout).map_err(|error| match error {
-            Errno::INTR => ListenerWaitError::InterruptSignal,
-            _ => ListenerWaitError::InternalFailure,
-        })
-    }
-}
-
 impl Abandonable for Sleeper {
     unsafe fn abandon_in_place(_: NonNull<Self>) {}
 }
@@ -190,12 +183,14 @@ where
     }
 
     fn timed_wait(&self, timeout: Duration) -> Result<(), ListenerWaitError> {
-        let tv_sec = timeout.as_secs().try_into().unwrap_or(i64::MAX);
-        self.sleep(Some(&Timespec { tv_sec, tv_nsec: timeout.subsec_nanos().into() }))
+        self.0.wait(timeout).map_err(|error| match error {
+            Errno::INTR => ListenerWaitError::InterruptSignal,
+            _ => ListenerWaitError::InternalFailure,
+        })
     }
 
     fn blocking_wait(&self) -> Result<(), ListenerWaitError> {
-        self.sleep(None)
+        WaiterInterface::<E, Futex, S>::timed_wait(self, Duration::MAX)
     }
 
     /// Leaves a notification where it is: the next wait is then over at once, for nothing. iceoryx2 calls this when the
@@ -210,11 +205,16 @@ where
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use nix::sys::pthread::{pthread_kill, pthread_self};
+    use nix::sys::signal::Signal::SIGUSR1;
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicBool;
+    use std::sync::mpsc::channel;
     use std::thread;
     use std::time::Instant;
 
-    const LONG: Timespec = Timespec { tv_sec: 600, tv_nsec: 0 };
-    const SHORT: Timespec = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
+    const LONG: Duration = Duration::from_secs(600);
+    const SHORT: Duration = Duration::from_millis(1);
 
     #[test]
     fn a_notification_of_before_is_not_lost_and_counts_once() {
@@ -222,16 +222,16 @@ mod tests {
         futex.notify().unwrap();
         futex.notify().unwrap();
         let start = Instant::now();
-        futex.wait(Some(&LONG)).unwrap();
-        assert!(start.elapsed() < Duration::from_secs(LONG.tv_sec as u64));
+        futex.wait(LONG).unwrap();
+        assert!(start.elapsed() < LONG);
         let start = Instant::now();
-        futex.wait(Some(&SHORT)).unwrap();
-        assert!(start.elapsed() >= Duration::from_millis(1));
+        futex.wait(SHORT).unwrap();
+        assert!(start.elapsed() >= SHORT);
         futex.notify().unwrap();
         futex.clear();
         let start = Instant::now();
-        futex.wait(Some(&SHORT)).unwrap();
-        assert!(start.elapsed() >= Duration::from_millis(1));
+        futex.wait(SHORT).unwrap();
+        assert!(start.elapsed() >= SHORT);
     }
 
     /// Were one wake-up lost, this would take ten minutes.
@@ -240,7 +240,7 @@ mod tests {
         let [there, back] = [(); 2].map(|()| (Futex(AtomicU32::new(IDLE)), AtomicU32::new(0)));
         let until = |(futex, sent): &(Futex, AtomicU32), number: u32| {
             while sent.load(Ordering::Acquire) < number {
-                futex.wait(Some(&LONG)).unwrap();
+                futex.wait(LONG).unwrap();
             }
         };
         let send = |(futex, sent): &(Futex, AtomicU32), number: u32| {
@@ -260,6 +260,28 @@ mod tests {
                 until(&back, number);
             }
         });
-        assert!(start.elapsed() < Duration::from_secs(LONG.tv_sec as u64));
+        assert!(start.elapsed() < LONG);
+    }
+
+    #[test]
+    fn a_signal_ends_the_wait() {
+        signal_hook::flag::register(SIGUSR1 as i32, Arc::new(AtomicBool::new(false))).unwrap();
+        let futex = Futex(AtomicU32::new(IDLE));
+        let (send, id) = channel();
+        let waited = thread::scope(|scope| {
+            let sleeper = scope.spawn(|| {
+                send.send(pthread_self()).unwrap();
+                futex.wait(LONG)
+            });
+            let id = id.recv().unwrap();
+            // One that comes before it has fallen asleep ends nothing.
+            while !sleeper.is_finished() {
+                pthread_kill(id, SIGUSR1).unwrap();
+                thread::yield_now();
+            }
+            sleeper.join().unwrap()
+        });
+        assert_eq!(waited, Err(Errno::INTR));
+        assert_eq!(futex.0.load(Ordering::Relaxed), IDLE);
     }
 }
