@@ -4,8 +4,8 @@ use anyhow::Result;
 use trestle_learner::losses::{Distances, min_distance};
 use trestle_proto::rng::{Purpose, mix, stream};
 use trestle_qnet::{
-    Adam, AdamConfig, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, backward, forward,
-    forward_train, init,
+    Adam, AdamConfig, AlignedBuffer, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, backward,
+    forward, forward_train, init,
 };
 
 const GAMMA: f32 = 0.99;
@@ -25,7 +25,7 @@ pub(crate) struct GradientStep {
     q: Vec<f32>,
     q_target: Vec<f32>,
     terms: Vec<RowGrad>,
-    grad: Vec<f32>,
+    grad: AlignedBuffer,
 }
 
 impl GradientStep {
@@ -52,7 +52,7 @@ impl GradientStep {
             q: values(forward_rows),
             q_target: values(rows),
             terms: (0..rows).map(|row| RowGrad { row: row as u32, action: action(row), dq: 0.0 }).collect(),
-            grad: vec![0.0; layout.n_params()],
+            grad: AlignedBuffer::new(layout.n_params()),
             network: QNetwork::new(layout.clone(), &params)?.with_kernels(kernels),
             layout,
         })

@@ -15,7 +15,7 @@ use rand::{Rng, RngCore};
 use trestle_proto::config::{Backend, DrawKind};
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
 use trestle_qnet::{
-    Encoding, Kernels, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train,
+    AlignedBuffer, Encoding, Kernels, Layout, QNetwork, RowGrad, Workspace, backward, forward, forward_train,
 };
 
 /// A replay entry and where its rows are.
@@ -65,7 +65,7 @@ pub(super) struct Term {
 pub(super) struct Step {
     pub(super) workspace: Workspace,
     /// The gradient, once [`Step::differentiate`] has run.
-    pub(super) grad: Vec<f32>,
+    pub(super) grad: AlignedBuffer,
     /// What is regressed, once [`Step::choose`] has run.
     pub(super) terms: Vec<Term>,
     /// The mentor transitions whose L_m is among the terms, one entry a sample; a one-sided one may yet not act.
@@ -128,7 +128,7 @@ impl Step {
         let values = || vec![0.0; rows * layout.output()];
         Self {
             workspace: Workspace::with_kernels(layout, rows, kernels),
-            grad: vec![0.0; layout.n_params()],
+            grad: AlignedBuffer::new(layout.n_params()),
             terms: Vec::with_capacity(rows),
             used: Vec::with_capacity(batch),
             batch,
@@ -426,7 +426,10 @@ impl Step {
                 let (ws, grads, grad) = (&mut self.workspace, &self.row_grads, &mut self.grad);
                 network.with_params(|online, _| backward(layout, online, ws, grads, grad))?;
             }
-            Backend::Candle => self.grad = self.autodiff(network, settings, scale)?,
+            Backend::Candle => {
+                let gradient = self.autodiff(network, settings, scale)?;
+                self.grad.copy_from_slice(&gradient);
+            }
         }
         Ok(())
     }

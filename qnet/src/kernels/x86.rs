@@ -155,8 +155,8 @@ impl Vector for Avx512 {
 
     #[inline(always)]
     fn relu(self) -> Self {
-        let negative = intrinsic!(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, _mm512_setzero_ps()));
-        Avx512(intrinsic!(_mm512_maskz_mov_ps(!negative, self.0)))
+        // Of zeros, and where one is a NaN, this takes the second.
+        Avx512(intrinsic!(_mm512_max_ps(_mm512_setzero_ps(), self.0)))
     }
 
     #[inline(always)]
@@ -283,8 +283,8 @@ impl Vector for Avx2 {
 
     #[inline(always)]
     fn relu(self) -> Self {
-        let negative = intrinsic!(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, _mm256_setzero_ps()));
-        Avx2(intrinsic!(_mm256_andnot_ps(negative, self.0)))
+        // Of zeros, and where one is a NaN, this takes the second.
+        Avx2(intrinsic!(_mm256_max_ps(_mm256_setzero_ps(), self.0)))
     }
 
     #[inline(always)]
