@@ -4,6 +4,8 @@
 use super::cases::walk::World;
 use anyhow::{Context, Result, bail, ensure};
 use bytemuck::{bytes_of, bytes_of_mut, cast_slice, cast_slice_mut};
+use nix::sched::{CpuSet, sched_getaffinity, sched_getcpu, sched_setaffinity};
+use nix::unistd::Pid;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use std::fs;
 use std::io::{Read, Write};
@@ -49,9 +51,45 @@ pub(super) trait Exchange {
     fn tick(&mut self, amount: u32, publish: bool) -> Result<()>;
 }
 
-/// Both ways, in the order in which they are compared: shared memory, Unix sockets.
-pub(super) fn both(setup: Setup) -> Result<[Box<dyn Exchange>; 2]> {
-    Ok([Box::new(SharedMemory::new(setup)?), Box::new(Sockets::new(setup)?)])
+/// Both ways, one as the other.
+pub(super) struct Both {
+    /// In the order in which they are compared: shared memory, Unix sockets.
+    pub(super) ways: [Box<dyn Exchange>; 2],
+    _cpu: Option<OneCpu>,
+}
+
+impl Both {
+    /// With peers of their own. If there is one actor and one batch a tick, they and the learner take turns, and have one
+    /// processor as such processes of a run do.
+    pub(super) fn new(setup: Setup) -> Result<Self> {
+        let turns = setup.actors == 1 && setup.burst == 1;
+        let cpu = if turns { Some(OneCpu::take()?) } else { None };
+        Ok(Self { ways: [Box::new(SharedMemory::new(setup)?), Box::new(Sockets::new(setup)?)], _cpu: cpu })
+    }
+}
+
+/// Keeps this thread, and the processes that it starts meanwhile, on the processor that it is on.
+struct OneCpu {
+    before: CpuSet,
+}
+
+impl OneCpu {
+    fn take() -> Result<Self> {
+        let this = Pid::from_raw(0);
+        let before = sched_getaffinity(this)?;
+        let mut one = CpuSet::new();
+        one.set(sched_getcpu()?)?;
+        sched_setaffinity(this, &one)?;
+        Ok(Self { before })
+    }
+}
+
+impl Drop for OneCpu {
+    fn drop(&mut self) {
+        if let Err(error) = sched_setaffinity(Pid::from_raw(0), &self.before) {
+            tracing::warn!("this process keeps to one processor: {error}");
+        }
+    }
 }
 
 /// The learner's own side, whichever way.

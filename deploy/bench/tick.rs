@@ -3,7 +3,7 @@
 
 use super::Effort;
 use super::clock::median;
-use super::exchange::{Exchange, Setup, both};
+use super::exchange::{Both, Setup};
 use super::report::Row;
 use anyhow::Result;
 use std::time::Instant;
@@ -17,18 +17,13 @@ const WARM_UP: usize = 100;
 const BURST: u32 = 32;
 
 /// The medians of a tick's time over shared memory and over sockets, microseconds.
-fn pair(
-    exchanges: &mut [Box<dyn Exchange>; 2],
-    amount: u32,
-    publish: bool,
-    effort: Effort,
-) -> Result<[f64; 2]> {
+fn pair(both: &mut Both, amount: u32, publish: bool, effort: Effort) -> Result<[f64; 2]> {
     let mut samples = [const { Vec::new() }; 2];
-    for exchange in exchanges.iter_mut() {
+    for exchange in &mut both.ways {
         (0..WARM_UP).try_for_each(|_| exchange.tick(amount, publish))?;
     }
     for _ in 0..effort.pick(BLOCKS[0], BLOCKS[1]) {
-        for (exchange, samples) in exchanges.iter_mut().zip(&mut samples) {
+        for (exchange, samples) in both.ways.iter_mut().zip(&mut samples) {
             for _ in 0..BLOCK {
                 let start = Instant::now();
                 exchange.tick(amount, publish)?;
@@ -43,9 +38,9 @@ fn pair(
 pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for actors in [1, 2, 4] {
-        let mut exchanges = both(Setup { actors, rollout: 32, burst: 1, mentor: true })?;
+        let mut both = Both::new(Setup { actors, rollout: 32, burst: 1, mentor: true })?;
         for rollout in [1, 8, 32] {
-            let [us, socket_us] = pair(&mut exchanges, rollout, true, effort)?;
+            let [us, socket_us] = pair(&mut both, rollout, true, effort)?;
             rows.push(
                 Row::new()
                     .with("actors", actors)
@@ -61,11 +56,11 @@ pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
 
 /// Batches in bursts from one actor.
 pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
-    let mut exchanges = both(Setup { actors: 1, rollout: 256, burst: BURST, mentor: false })?;
+    let mut both = Both::new(Setup { actors: 1, rollout: 256, burst: BURST, mentor: false })?;
     let mut rows = Vec::new();
     for batch in [32, 256] {
         let each = |us: f64| us * 1e3 / f64::from(batch * BURST);
-        let [ns, socket_ns] = pair(&mut exchanges, batch, false, effort)?.map(each);
+        let [ns, socket_ns] = pair(&mut both, batch, false, effort)?.map(each);
         rows.push(
             Row::new()
                 .with("batch", batch)
@@ -82,9 +77,9 @@ pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
 pub(super) fn weights(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for subscribers in [1, 4] {
-        let mut exchanges = both(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false })?;
-        let with = pair(&mut exchanges, 1, true, effort)?;
-        let without = pair(&mut exchanges, 1, false, effort)?;
+        let mut both = Both::new(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false })?;
+        let with = pair(&mut both, 1, true, effort)?;
+        let without = pair(&mut both, 1, false, effort)?;
         let [us, socket_us] = [0, 1].map(|way| with[way] - without[way]);
         rows.push(
             Row::new()

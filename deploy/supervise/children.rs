@@ -9,6 +9,8 @@ use super::line::{Fault, Line};
 use super::prepare::Prepared;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
+use nix::errno::Errno;
+use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fmt;
@@ -100,28 +102,51 @@ impl fmt::Display for Death {
 /// A child that has been started.
 pub(super) struct Child {
     pub(super) role: Role,
+    /// Its process id, which may be another's once it does not run any more.
+    pub(super) id: u32,
     pub(super) running: bool,
     /// Why it has been killed, if it was.
     pub(super) fault: Option<Fault>,
     /// To the task that waits for the process.
-    signals: mpsc::UnboundedSender<Signal>,
+    orders: mpsc::UnboundedSender<Order>,
     pub(super) line: Line,
+}
+
+/// What is done to a process.
+#[derive(Debug)]
+enum Order {
+    Signal(Signal),
+    /// Its first thread, which does its work, is to run on these processors, and those that it starts from then on. Those
+    /// that there are stay free.
+    PlaceFirst(CpuSet),
+    /// All its threads are to run on these processors.
+    PlaceAll(CpuSet),
 }
 
 impl Child {
     /// Asks the process to finish what it is doing and leave.
     pub(super) fn terminate(&self) {
-        self.signal(Signal::SIGTERM);
+        self.order(Order::Signal(Signal::SIGTERM));
     }
 
     /// Ends the process.
     pub(super) fn kill(&self) {
-        self.signal(Signal::SIGKILL);
+        self.order(Order::Signal(Signal::SIGKILL));
     }
 
-    fn signal(&self, signal: Signal) {
+    /// Lets the process do its work on `cpu` alone.
+    pub(super) fn place_together(&self, cpu: CpuSet) {
+        self.order(Order::PlaceFirst(cpu));
+    }
+
+    /// Lets the process use all of `cpus`.
+    pub(super) fn place_apart(&self, cpus: CpuSet) {
+        self.order(Order::PlaceAll(cpus));
+    }
+
+    fn order(&self, order: Order) {
         // The task is gone when the process is.
-        let _ = self.signals.send(signal);
+        let _ = self.orders.send(order);
     }
 }
 
@@ -183,12 +208,13 @@ pub(super) fn start(
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
     // So that the child alone holds its end.
     drop(command);
+    let id = process.id().with_context(|| format!("{role} is gone already"))?;
     let stdout = process.stdout.take();
-    let (signals, orders) = mpsc::unbounded_channel();
+    let (orders, received) = mpsc::unbounded_channel();
     let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
-        let status = wait(&mut process, orders).await;
+        let status = wait(&mut process, received).await;
         // All of its progress comes before its end.
         if let Some(forwarding) = forwarding {
             let _ = forwarding.await;
@@ -196,25 +222,48 @@ pub(super) fn start(
         // A supervisor that no longer listens is itself on its way out.
         let _ = events.send(Event::Exited(role, status)).await;
     });
-    Ok(Child { role, running: true, fault: None, signals, line })
+    Ok(Child { role, id, running: true, fault: None, orders, line })
 }
 
-/// Waits for `process` and sends it the signals that are ordered meanwhile: never after it has been waited for, when its
-/// id could be another's.
+/// Waits for `process` and does to it what is ordered meanwhile: never after it has been waited for, when its id could be
+/// another's.
 async fn wait(
     process: &mut process::Child,
-    mut orders: mpsc::UnboundedReceiver<Signal>,
+    mut orders: mpsc::UnboundedReceiver<Order>,
 ) -> std::io::Result<ExitStatus> {
     loop {
         tokio::select! {
             status = process.wait() => return status,
-            Some(signal) = orders.recv() => {
-                if let Some(pid) = process.id() {
-                    kill(Pid::from_raw(pid.cast_signed()), signal)?;
+            Some(order) = orders.recv() => {
+                let Some(pid) = process.id().map(|id| Pid::from_raw(id.cast_signed())) else { continue };
+                let placed = match order {
+                    Order::Signal(signal) => {
+                        kill(pid, signal)?;
+                        Ok(())
+                    }
+                    Order::PlaceFirst(cpus) => sched_setaffinity(pid, &cpus).map_err(Into::into),
+                    Order::PlaceAll(cpus) => place_all(pid, &cpus),
+                };
+                if let Err(error) = placed {
+                    tracing::debug!("process {pid} stays where it is: {error:#}");
                 }
             }
         }
     }
+}
+
+/// Lets all threads of a process run on `cpus`: those that began while the first one was on fewer have inherited that.
+fn place_all(pid: Pid, cpus: &CpuSet) -> Result<()> {
+    for thread in fs::read_dir(format!("/proc/{pid}/task"))? {
+        let id: i32 =
+            thread?.file_name().to_str().and_then(|id| id.parse().ok()).context("no thread's id")?;
+        match sched_setaffinity(Pid::from_raw(id), cpus) {
+            // It has ended.
+            Err(Errno::ESRCH) => {}
+            placed => placed?,
+        }
+    }
+    Ok(())
 }
 
 /// Passes the learner's progress on until it closes its standard output.
@@ -238,5 +287,51 @@ pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
             lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
         }
         Err(error) => format!("(cannot read {}: {error})", path.display()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use nix::sched::sched_getaffinity;
+    use std::time::{Duration, Instant};
+
+    /// Which of the processors of `all` each thread of a process may run on.
+    fn masks(pid: u32, all: &CpuSet) -> Vec<Vec<bool>> {
+        let threads = fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+        let mask = |id: i32| {
+            let mask = sched_getaffinity(Pid::from_raw(id)).unwrap();
+            (0..CpuSet::count())
+                .filter(|&cpu| all.is_set(cpu).unwrap())
+                .map(|cpu| mask.is_set(cpu).unwrap())
+                .collect()
+        };
+        threads.map(|thread| mask(thread.unwrap().file_name().to_str().unwrap().parse().unwrap())).collect()
+    }
+
+    #[tokio::test]
+    async fn a_process_is_placed_and_let_go_and_ended() {
+        let all = sched_getaffinity(Pid::from_raw(0)).unwrap();
+        let cpus: Vec<usize> = (0..CpuSet::count()).filter(|&cpu| all.is_set(cpu).unwrap()).collect();
+        let mut one = CpuSet::new();
+        one.set(cpus[0]).unwrap();
+        let mut process = Command::new("sleep").arg("1000").kill_on_drop(true).spawn().unwrap();
+        let pid = process.id().unwrap();
+        let (orders, received) = mpsc::unbounded_channel();
+        let waiting = tokio::spawn(async move { wait(&mut process, received).await.unwrap() });
+        let free = vec![vec![true; cpus.len()]];
+        let mut placed = vec![vec![false; cpus.len()]];
+        placed[0][0] = true;
+        for (order, expected) in [(Order::PlaceFirst(one), placed), (Order::PlaceAll(all), free)] {
+            orders.send(order).unwrap();
+            let deadline = Instant::now() + Duration::from_secs(20);
+            while masks(pid, &all) != expected {
+                assert!(Instant::now() < deadline, "{:?}", masks(pid, &all));
+                tokio::task::yield_now().await;
+            }
+        }
+        orders.send(Order::Signal(Signal::SIGKILL)).unwrap();
+        assert!(!waiting.await.unwrap().success());
     }
 }

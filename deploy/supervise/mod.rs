@@ -7,12 +7,14 @@
 //! - `restarts`: whether there is another attempt;
 //! - `children`: the processes;
 //! - `display`: what the user sees meanwhile;
+//! - `placement`: on which processor the processes work;
 //! - `hold`: what the run keeps to itself.
 
 mod children;
 pub(crate) mod display;
 mod hold;
 mod line;
+mod placement;
 pub(crate) mod prepare;
 mod restarts;
 
@@ -21,6 +23,7 @@ use children::{Child, Death, How, Role, log_tail};
 use display::Display;
 pub(crate) use hold::HeldSignals;
 use nix::libc::{SIGBUS, SIGKILL};
+use placement::{LOOK, Placement};
 use prepare::Prepared;
 use restarts::{Restarts, Verdict};
 use std::ops::ControlFlow;
@@ -321,6 +324,9 @@ async fn watch(
     let mut beat = tokio::time::interval_at(now + BEAT, BEAT);
     // Beats that this process has missed are nobody's silence.
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut placement = Placement::of(&replacing.prepared.plan().config);
+    let mut look = tokio::time::interval_at(now + LOOK, LOOK);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // The ends of processes that have lost another, which is to blame and whose end may not have been noticed yet.
     let mut consequences: Vec<Death> = Vec::new();
     let blame = tokio::time::sleep(BLAME);
@@ -343,6 +349,10 @@ async fn watch(
                         child.kill();
                     }
                 }
+            }
+            // Until the first progress their environments may still be starting threads.
+            _ = look.tick(), if began && placement.is_some() => {
+                placement.iter_mut().for_each(|placement| placement.look(children));
             }
             () = replacing.next() => {
                 match replacing.start(children) {

@@ -8,7 +8,7 @@ use crate::space::EnvSpec;
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
-const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 3 };
+const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 4 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

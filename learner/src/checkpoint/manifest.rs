@@ -13,7 +13,7 @@ use trestle_proto::config::{Checkpoint, Eval, Hazard, Mode, Supervise};
 use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 3;
+pub const FORMAT: u32 = 4;
 /// Largest MANIFEST or COMPLETE that is read, bytes.
 const MAX_BYTES: u64 = 1 << 16;
 
