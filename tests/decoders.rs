@@ -6,7 +6,7 @@
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
 use trestle_actor::env::maze::Map;
-use trestle_actor::worker::Worker;
+use trestle_actor::worker::{STATE_KIND, Worker};
 use trestle_learner::checkpoint;
 use trestle_learner::replay::{Bounds, Replay, Span};
 use trestle_mentor_server::demo_file;
@@ -19,7 +19,7 @@ use trestle_proto::config::{self, Config};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::{ObserveAnswer, Observed};
 use trestle_proto::orders::Orders;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{PLAN_KIND, RunPlan};
 use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
 use trestle_proto::tick::{STOP, Tick};
 use trestle_proto::weights::WeightsHeader;
@@ -97,15 +97,13 @@ fn messages(bytes: &[u8]) {
 
 /// Frames: as they are, and with the header that makes their bytes the body.
 fn frames(bytes: &[u8]) {
-    let plan = Kind { magic: *b"TRPLAN\0\0", version: 3 };
-    let actor = Kind { magic: *b"TRACTOR\0", version: 1 };
     let _ = RunPlan::decode(bytes);
-    let _ = RunPlan::decode(&framed(plan, bytes));
+    let _ = RunPlan::decode(&framed(PLAN_KIND, bytes));
     let _ = codec::decode::<Evaluation>(EVALUATION_KIND, bytes);
     let _ = codec::decode::<Evaluation>(EVALUATION_KIND, &framed(EVALUATION_KIND, bytes));
     let mut worker = worker();
     let before = worker.snapshot().unwrap();
-    for snapshot in [bytes.to_vec(), framed(actor, bytes)] {
+    for snapshot in [bytes.to_vec(), framed(STATE_KIND, bytes)] {
         if worker.restore(&snapshot).is_err() {
             assert_eq!(worker.snapshot().unwrap(), before, "a refused snapshot changes nothing");
         }

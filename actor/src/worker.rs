@@ -20,7 +20,8 @@ use trestle_proto::space::reported;
 use trestle_proto::tick::Tick;
 use trestle_qnet::{PlanError, kernels_of, network_of};
 
-const KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
+/// What the frame of an actor's state says that it is.
+pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
 
 /// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
 /// [`MAX_REPLY_BYTES`].
@@ -410,7 +411,7 @@ impl Worker {
             explore: self.explore.clone(),
             environment: self.environment.clone(),
         };
-        Ok(codec::encode(KIND, &state)?)
+        Ok(codec::encode(STATE_KIND, &state)?)
     }
 
     /// Takes over the state in `bytes`, a snapshot of the same actor of the same run: every batch from then on is what
@@ -419,7 +420,7 @@ impl Worker {
     /// # Errors
     /// Bytes that are damaged or of another actor or environment; the actor is unchanged then.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), ActorError> {
-        let state: State = codec::decode(KIND, bytes)?;
+        let state: State = codec::decode(STATE_KIND, bytes)?;
         let (index, expected) = (self.index, self.obs.len());
         if state.index != index || state.obs.len() != expected {
             return Err(ActorError::Foreign {

@@ -8,7 +8,8 @@ use crate::space::EnvSpec;
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
-const KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 4 };
+/// What the frame of an encoded plan says that it is.
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 4 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,12 +55,12 @@ impl RunPlan {
 
     /// The plan as bytes of a file.
     pub fn encode(&self) -> Result<Vec<u8>, CodecError> {
-        codec::encode(KIND, self)
+        codec::encode(PLAN_KIND, self)
     }
 
     /// The plan in the bytes of a file.
     pub fn decode(bytes: &[u8]) -> Result<Self, CodecError> {
-        codec::decode(KIND, bytes)
+        codec::decode(PLAN_KIND, bytes)
     }
 
     /// Units of the network's input, hidden layers and output.
