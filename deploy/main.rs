@@ -8,6 +8,7 @@ mod output;
 mod build_info;
 mod cli;
 mod commands;
+mod machine;
 mod reference;
 mod status;
 mod supervise;

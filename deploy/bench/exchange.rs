@@ -2,9 +2,10 @@
 //! sockets with the same messages and the same checks. The peers are processes of their own ([`super::peer`]).
 
 use super::cases::walk::World;
+use crate::machine::{one_processor, own_processors};
 use anyhow::{Context, Result, bail, ensure};
 use bytemuck::{bytes_of, bytes_of_mut, cast_slice, cast_slice_mut};
-use nix::sched::{CpuSet, sched_getaffinity, sched_getcpu, sched_setaffinity};
+use nix::sched::{CpuSet, sched_getcpu, sched_setaffinity};
 use nix::unistd::Pid;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use std::fs;
@@ -75,11 +76,8 @@ struct OneCpu {
 
 impl OneCpu {
     fn take() -> Result<Self> {
-        let this = Pid::from_raw(0);
-        let before = sched_getaffinity(this)?;
-        let mut one = CpuSet::new();
-        one.set(sched_getcpu()?)?;
-        sched_setaffinity(this, &one)?;
+        let before = own_processors()?;
+        sched_setaffinity(Pid::from_raw(0), &one_processor(sched_getcpu()?)?)?;
         Ok(Self { before })
     }
 }
@@ -87,7 +85,7 @@ impl OneCpu {
 impl Drop for OneCpu {
     fn drop(&mut self) {
         if let Err(error) = sched_setaffinity(Pid::from_raw(0), &self.before) {
-            tracing::warn!("this process keeps to one processor: {error}");
+            crate::output::say(&format!("this process keeps to one processor: {error}"));
         }
     }
 }

@@ -4,6 +4,7 @@ use super::Effort;
 use super::exchange::scratch;
 use super::report::Row;
 use super::run_loop::training;
+use crate::machine::words_of_stat;
 use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::process::{Child, Stdio};
@@ -65,8 +66,7 @@ fn children(parent: u32) -> Vec<u32> {
 
 fn parent_of(id: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
-    // The name before may hold anything, a parenthesis too.
-    stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse().ok()
+    words_of_stat(&stat)?.nth(1)?.parse().ok()
 }
 
 /// Bytes that a process holds, of what it shares with others its part; none if it has gone.

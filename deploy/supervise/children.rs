@@ -294,40 +294,32 @@ pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::machine::{listed, one_processor, own_processors};
     use nix::sched::sched_getaffinity;
     use std::time::{Duration, Instant};
 
-    /// Which of the processors of `all` each thread of a process may run on.
-    fn masks(pid: u32, all: &CpuSet) -> Vec<Vec<bool>> {
+    /// The processors that each thread of a process may run on.
+    fn processors(pid: u32) -> Vec<Vec<usize>> {
         let threads = fs::read_dir(format!("/proc/{pid}/task")).unwrap();
-        let mask = |id: i32| {
-            let mask = sched_getaffinity(Pid::from_raw(id)).unwrap();
-            (0..CpuSet::count())
-                .filter(|&cpu| all.is_set(cpu).unwrap())
-                .map(|cpu| mask.is_set(cpu).unwrap())
-                .collect()
-        };
-        threads.map(|thread| mask(thread.unwrap().file_name().to_str().unwrap().parse().unwrap())).collect()
+        let id = |thread: fs::DirEntry| thread.file_name().to_str().unwrap().parse().unwrap();
+        threads
+            .map(|thread| listed(&sched_getaffinity(Pid::from_raw(id(thread.unwrap()))).unwrap()))
+            .collect()
     }
 
     #[tokio::test]
     async fn a_process_is_placed_and_let_go_and_ended() {
-        let all = sched_getaffinity(Pid::from_raw(0)).unwrap();
-        let cpus: Vec<usize> = (0..CpuSet::count()).filter(|&cpu| all.is_set(cpu).unwrap()).collect();
-        let mut one = CpuSet::new();
-        one.set(cpus[0]).unwrap();
+        let all = own_processors().unwrap();
+        let one = one_processor(listed(&all)[0]).unwrap();
         let mut process = Command::new("sleep").arg("1000").kill_on_drop(true).spawn().unwrap();
         let pid = process.id().unwrap();
         let (orders, received) = mpsc::unbounded_channel();
         let waiting = tokio::spawn(async move { wait(&mut process, received).await.unwrap() });
-        let free = vec![vec![true; cpus.len()]];
-        let mut placed = vec![vec![false; cpus.len()]];
-        placed[0][0] = true;
-        for (order, expected) in [(Order::PlaceFirst(one), placed), (Order::PlaceAll(all), free)] {
+        for (order, expected) in [(Order::PlaceFirst(one), one), (Order::PlaceAll(all), all)] {
             orders.send(order).unwrap();
             let deadline = Instant::now() + Duration::from_secs(20);
-            while masks(pid, &all) != expected {
-                assert!(Instant::now() < deadline, "{:?}", masks(pid, &all));
+            while processors(pid) != [listed(&expected)] {
+                assert!(Instant::now() < deadline, "{:?}", processors(pid));
                 tokio::task::yield_now().await;
             }
         }

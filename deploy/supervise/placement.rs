@@ -6,9 +6,9 @@
 //! program wants their processor. What a run comes to does not depend on it.
 
 use super::children::Child;
+use crate::machine::{listed, one_processor, own_processors, words_of_stat};
 use anyhow::{Context, Result};
-use nix::sched::{CpuSet, sched_getaffinity};
-use nix::unistd::{Pid, SysconfVar, sysconf};
+use nix::unistd::{SysconfVar, sysconf};
 use std::fs;
 use std::time::{Duration, Instant};
 use trestle_proto::config::{Config, Mode};
@@ -59,8 +59,7 @@ impl Placement {
         if !turns || !config.supervise.one_cpu {
             return None;
         }
-        let own = own_processors().ok()?;
-        let allowed: Vec<usize> = (0..CpuSet::count()).filter(|&cpu| own.is_set(cpu) == Ok(true)).collect();
+        let allowed = listed(&own_processors().ok()?);
         (allowed.len() > 1).then(|| Self::new(allowed))
     }
 
@@ -100,8 +99,9 @@ impl Placement {
     /// `from` on.
     fn decide(&mut self, now: Usage, from: usize) -> Option<Move> {
         let at = now.at;
-        let before = self.last.replace(now)?;
-        let since = self.last.as_ref()?.since(&before);
+        let since = self.last.as_ref().map(|before| now.since(before));
+        self.last = Some(now);
+        let since = since?;
         match self.together {
             Some((on, begin)) => {
                 if at - begin >= QUIET {
@@ -157,7 +157,8 @@ struct Shares {
 impl Usage {
     /// Up to now, on processors `allowed`.
     fn of(allowed: &[usize], children: &[Child]) -> Result<Self> {
-        let second = sysconf(SysconfVar::CLK_TCK)?.context("the kernel does not say how it counts time")?;
+        let second = sysconf(SysconfVar::CLK_TCK)?.filter(|&second| second > 0);
+        let second = second.context("the kernel does not say how it counts time")?;
         let time = |ticks: u64| Duration::from_secs_f64(ticks as f64 / second as f64);
         let idle = idle_ticks(&fs::read_to_string("/proc/stat")?, allowed)?;
         let mut ran = 0;
@@ -193,24 +194,13 @@ fn idle_ticks(stat: &str, allowed: &[usize]) -> Result<Vec<u64>> {
     allowed.iter().map(find).collect()
 }
 
-/// The ticks for which a process ran, from the text of its /proc/PID/stat: the 14th word (user) and the 15th (system). The
-/// second is its name in brackets and may hold anything.
+/// The ticks for which a process ran, from the text of its /proc/PID/stat: the 14th word (user) and the 15th (system).
 fn ticks_of_process(stat: &str) -> Result<u64> {
-    let words = stat.rsplit_once(')').map(|(_, rest)| rest.split_whitespace().skip(11));
-    let ticks =
-        words.and_then(|mut words| Some([words.next()?.parse::<u64>().ok()?, words.next()?.parse().ok()?]));
-    Ok(ticks.with_context(|| format!("no times in `{stat}`"))?.iter().sum())
-}
-
-/// The processors that this process may use.
-fn own_processors() -> Result<CpuSet> {
-    Ok(sched_getaffinity(Pid::from_raw(0))?)
-}
-
-fn one_processor(cpu: usize) -> Result<CpuSet> {
-    let mut one = CpuSet::new();
-    one.set(cpu)?;
-    Ok(one)
+    let times = || -> Option<[u64; 2]> {
+        let mut words = words_of_stat(stat)?.skip(11).map_while(|word| word.parse().ok());
+        Some([words.next()?, words.next()?])
+    };
+    Ok(times().with_context(|| format!("no times in `{stat}`"))?.iter().sum())
 }
 
 #[cfg(test)]
@@ -339,8 +329,7 @@ mod tests {
 
     #[test]
     fn what_this_machine_says_is_understood() {
-        let own = own_processors().unwrap();
-        let cpus: Vec<usize> = (0..CpuSet::count()).filter(|&cpu| own.is_set(cpu) == Ok(true)).collect();
+        let cpus = listed(&own_processors().unwrap());
         assert_eq!(Usage::of(&cpus, &[]).unwrap().idle.len(), cpus.len());
         let ran = || ticks_of_process(&fs::read_to_string("/proc/self/stat").unwrap()).unwrap();
         let start = ran();

@@ -195,12 +195,24 @@ fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not()
     assert!(fault.contains("demonstration"), "{fault}");
 }
 
-/// Nor does a hazard change what is learnt.
+/// Nor do these change what is learnt.
 #[test]
-fn a_hazard_is_no_part_of_the_fingerprint() {
-    let (none, some) = (plan(&[]), plan(&["env.hazard.kind=abort", "env.hazard.after=700"]));
-    assert_ne!(some.config, none.config);
-    assert_eq!(fingerprint(&some), fingerprint(&none));
+fn what_does_not_change_the_agent_is_no_part_of_the_fingerprint() {
+    let usual = plan(&[]);
+    let parts: [&[&str]; 6] = [
+        &["env.hazard.kind=abort", "env.hazard.after=700"],
+        &["eval.every=7"],
+        &["checkpoint.keep=9"],
+        &["supervise.restarts=77", "supervise.one_cpu=false"],
+        &["run.env_steps=1234"],
+        &["run.stop_when_solved=true"],
+    ];
+    for part in parts {
+        let other = plan(part);
+        assert_ne!(other.config, usual.config, "{part:?}");
+        assert_eq!(fingerprint(&other), fingerprint(&usual), "{part:?}");
+    }
+    assert_ne!(fingerprint(&plan(&["run.seed=77"])), fingerprint(&usual));
 }
 
 #[test]
