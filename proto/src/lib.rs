@@ -16,6 +16,7 @@ pub mod orders;
 pub mod plan;
 pub mod pulse;
 pub mod query;
+pub mod regular_file;
 pub mod reply;
 pub mod rng;
 pub mod rundir;
