@@ -1,17 +1,10 @@
-//! The functions that dominate a run, one by one: `cargo bench`. What a whole system reaches says `trestle bench`.
+//! The functions that dominate a run, one by one: `cargo bench -p trestle-bench`. What a whole system reaches, `trestle-bench` says.
 #![allow(clippy::unwrap_used)] // All arguments are constants.
-
-#[path = "../deploy/bench/cases/gradient.rs"]
-mod gradient;
-#[path = "shared/mentor.rs"]
-mod mentor;
-#[path = "../deploy/bench/cases/walk.rs"]
-mod walk;
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use gradient::GradientStep;
-use mentor::{BATCH, DIM, Server};
+use trestle_bench::gradient::GradientStep;
+use trestle_bench::server::{BATCH, DIM, Server};
 use trestle_learner::replay::Replay;
 use trestle_proto::rng::{Purpose, stream};
 use trestle_qnet::{Kernels, Layout, Workspace, forward, init};

@@ -2,18 +2,11 @@
 //! Nothing here depends on time or chance, so that the difference between two counts is exact but for what memory
 //! costs the allocator. `benches/instructions.sh` runs it.
 
-#[path = "../deploy/bench/cases/gradient.rs"]
-mod gradient;
-#[path = "shared/mentor.rs"]
-mod mentor;
-#[path = "../deploy/bench/cases/walk.rs"]
-mod walk;
-
 use anyhow::{Context, Result, bail};
-use gradient::GradientStep;
-use mentor::{BATCH, DIM, Server};
 use trestle_actor::env;
 use trestle_actor::worker::Worker;
+use trestle_bench::gradient::GradientStep;
+use trestle_bench::server::{BATCH, DIM, Server};
 use trestle_learner::agent::Agent;
 use trestle_learner::replay::Replay;
 use trestle_mentor_server::demonstration::Demonstration;

@@ -46,9 +46,9 @@ keep() {
 
 mkdir -p "$OUT"
 if [[ $measure == yes ]]; then
-    cargo build --release
+    cargo build --release -p trestle -p trestle-bench
     for name in step infer replay mentor tick message weights idle memory loop; do
-        keep "$name" "$TARGET/release/trestle" bench "$name" --json
+        keep "$name" "$TARGET/release/trestle-bench" "$name" --json
     done
     if [[ $peers == yes ]]; then
         venv "$PEERS_VENV" benches/peers/requirements.txt

@@ -34,17 +34,12 @@ pub(crate) enum Command {
     Config(Config),
     /// Look at what runs need from this machine, and at what dead runs have left
     Doctor(Doctor),
-    /// Measure this machine: the figures that the documentation quotes
-    Bench(Bench),
     /// One actor process of a run (started by `train`)
     Actor(ActorRole),
     /// The learner process of a run (started by `train`)
     Learner(Role),
     /// The mentor-server process of a run (started by `train`)
     MentorServer(Role),
-    /// The other end of a benchmark's messages (started by `bench`)
-    #[command(hide = true)]
-    BenchPeer(BenchPeer),
     /// Remove what a run without a supervisor has shared
     #[command(hide = true)]
     Orphaned {
@@ -304,51 +299,6 @@ pub(crate) struct Doctor {
     /// Remove what dead runs have left
     #[arg(long)]
     pub(crate) fix: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Bench {
-    /// What to measure; everything, one after the other, if not given
-    #[arg(value_name = "NAME")]
-    pub(crate) name: Option<Benchmark>,
-    /// One JSON object a line for each benchmark
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// Little work and few samples, to see whether it works: the figures say nothing
-    #[arg(long)]
-    pub(crate) quick: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Benchmark {
-    /// A gradient step, beside the machine's limit
-    Step,
-    /// An actor's forward pass
-    Infer,
-    /// Storing and drawing transitions
-    Replay,
-    /// Similarity, action inference, bridge search
-    Mentor,
-    /// A lockstep tick whose processes do nothing else
-    Tick,
-    /// Batches of transitions
-    Message,
-    /// Publications of weights
-    Weights,
-    /// What processes use while they wait
-    Idle,
-    /// What the processes of a run hold at most
-    Memory,
-    /// Whole runs on maze30
-    Loop,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct BenchPeer {
-    pub(crate) role: String,
-    pub(crate) dir: PathBuf,
-    pub(crate) index: u32,
-    pub(crate) burst: u32,
 }
 
 #[derive(Debug, Args)]

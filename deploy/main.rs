@@ -1,7 +1,6 @@
 //! The program `trestle`: arguments in, one command out. Every process of a run is this program with another
 //! subcommand.
 
-mod bench;
 #[macro_use]
 mod output;
 

@@ -5,7 +5,6 @@
 
 mod util;
 
-mod bench;
 mod client;
 mod commands;
 mod concurrency;

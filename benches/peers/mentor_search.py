@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Similarity queries and nearest mentor transitions by scikit-learn's KDTree and BallTree and by faiss's Flat index, beside
-the figures of `trestle bench mentor --json`.
+the figures of `trestle-bench mentor --json`.
 
-The world is that of deploy/bench/cases/walk.rs: a box of cells with about one mentor state a cell, states up to 0.2 beside
+The world is that of benches/src/walk.rs: a box of cells with about one mentor state a cell, states up to 0.2 beside
 the middle of their cell, features with standard deviation 1. *similar* asks for all mentor states with KL <= 0.1, a radius
 of sqrt(0.2). *infer* asks for the one mentor transition nearest to an observer's: a weaker question than Trestle's, which
 is for every mentor transition nearer than its own error so far, and which none of these can be asked.
@@ -175,7 +175,7 @@ def pictures(rows: list[dict], trestle: list[dict], directory: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="what `trestle bench mentor --json` printed")
+    parser.add_argument("--json", type=Path, help="what `trestle-bench mentor --json` printed")
     parser.add_argument("--pictures", type=Path, help="a directory for pictures; needs --json")
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The gradient step of `trestle bench step` in JAX, the whole of it under jax.jit, on one thread; prints JSON.
+"""The gradient step of `trestle-bench step` in JAX, the whole of it under jax.jit, on one thread; prints JSON.
 
 Parameters, target and Adam's state are one pytree that each step takes and returns, its memory donated. Times are
 medians of CPU time.

@@ -1,4 +1,4 @@
-"""The gradient step of `trestle bench step` in PyTorch, on one thread; prints JSON.
+"""The gradient step of `trestle-bench step` in PyTorch, on one thread; prints JSON.
 
 `eager` is what a user writes; `compiled` is the whole step as one graph under torch.compile, gradient and Adam
 written out, left out where that does not work (it needs a C++ compiler). Times are medians of CPU time.

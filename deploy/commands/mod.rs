@@ -1,6 +1,5 @@
 //! One file a subcommand.
 
-mod bench;
 mod config;
 mod demo;
 mod doctor;
@@ -37,8 +36,6 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Demo(args) => demo::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        Command::Bench(args) => bench::run(&args),
-        Command::BenchPeer(args) => bench::peer(&args),
         Command::Actor(args) => role::actor(&args),
         Command::Learner(args) => role::learner(&args),
         Command::MentorServer(args) => role::mentor_server(&args),

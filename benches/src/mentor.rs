@@ -8,12 +8,12 @@
 //! transition is followed by the search, whose time is what counts.
 
 use super::Effort;
-use super::cases::walk::{Walk, World};
 use super::clock::{Case, median, medians};
 use super::report::Row;
 use anyhow::Result;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
+use trestle_bench::walk::{Walk, World};
 use trestle_mentor_server::bridge::cells::Cells;
 use trestle_mentor_server::bridge::graph::Graph;
 use trestle_mentor_server::bridge::search::{Arrival, Search};

@@ -1,11 +1,11 @@
 //! `replay`: storing a transition, and drawing one and encoding both of its states for the network.
 
 use super::Effort;
-use super::cases::walk::World;
 use super::clock::{Case, medians};
 use super::report::Row;
 use anyhow::Result;
 use std::hint::black_box;
+use trestle_bench::walk::World;
 use trestle_learner::replay::Replay;
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader};

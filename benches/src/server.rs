@@ -8,13 +8,13 @@ use trestle_proto::config::{self, Algo};
 use trestle_proto::observe::Observed;
 
 /// Features of a state.
-pub(crate) const DIM: usize = 2;
+pub const DIM: usize = 2;
 /// Transitions in a batch.
-pub(crate) const BATCH: u32 = 32;
+pub const BATCH: u32 = 32;
 const MENTOR: usize = 10_000;
 
 /// The mentor-server, and who hands it batches.
-pub(crate) struct Server {
+pub struct Server {
     mentor: Mentor,
     walk: Walk,
     batch: Batch,
@@ -24,7 +24,7 @@ pub(crate) struct Server {
 
 impl Server {
     /// A mentor-server that knows nothing yet, with a history of up to `stored` transitions.
-    pub(crate) fn new(stored: usize) -> Result<Self> {
+    pub fn new(stored: usize) -> Result<Self> {
         let world = World::new(DIM, MENTOR, 0.0);
         let settings = config::Mentor::default();
         let demonstration = world.demonstration(MENTOR)?;
@@ -38,7 +38,7 @@ impl Server {
     }
 
     /// Has the observer take [`BATCH`] steps and hands them over. Returns them with the answer.
-    pub(crate) fn observe(&mut self) -> Result<(&Batch, &Observed)> {
+    pub fn observe(&mut self) -> Result<(&Batch, &Observed)> {
         let header = BatchHeader { count: BATCH, obs_dim: DIM as u32, ..BatchHeader::default() };
         self.walk.fill(header, &mut self.batch);
         self.mentor.observe(self.index, 0, &self.batch, &mut self.observed)?;

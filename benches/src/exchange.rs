@@ -1,16 +1,13 @@
 //! The learner's side of a lockstep tick with peers that do nothing but answer: over shared memory, and over Unix
 //! sockets with the same messages and the same checks. The peers are processes of their own ([`super::peer`]).
 
-use super::cases::walk::World;
-use crate::machine::{one_processor, own_processors};
+use super::program::Scratch;
 use anyhow::{Context, Result, bail, ensure};
 use bytemuck::{bytes_of, bytes_of_mut, cast_slice, cast_slice_mut};
-use nix::sched::{CpuSet, sched_getcpu, sched_setaffinity};
+use nix::sched::{CpuSet, sched_getaffinity, sched_getcpu, sched_setaffinity};
 use nix::unistd::Pid;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use std::fs;
 use std::io::{Read, Write};
-use std::os::unix::fs::DirBuilderExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -18,6 +15,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
+use trestle_bench::walk::World;
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
@@ -65,7 +63,10 @@ impl Both {
     pub(super) fn new(setup: Setup) -> Result<Self> {
         let turns = setup.actors == 1 && setup.burst == 1;
         let cpu = if turns { Some(OneCpu::take()?) } else { None };
-        Ok(Self { ways: [Box::new(SharedMemory::new(setup)?), Box::new(Sockets::new(setup)?)], _cpu: cpu })
+        Ok(Self {
+            ways: [Box::new(SharedMemory::with_own_peers(setup)?), Box::new(Sockets::new(setup)?)],
+            _cpu: cpu,
+        })
     }
 }
 
@@ -76,8 +77,10 @@ struct OneCpu {
 
 impl OneCpu {
     fn take() -> Result<Self> {
-        let before = own_processors()?;
-        sched_setaffinity(Pid::from_raw(0), &one_processor(sched_getcpu()?)?)?;
+        let before = sched_getaffinity(Pid::from_raw(0))?;
+        let mut one = CpuSet::new();
+        one.set(sched_getcpu()?)?;
+        sched_setaffinity(Pid::from_raw(0), &one)?;
         Ok(Self { before })
     }
 }
@@ -85,15 +88,55 @@ impl OneCpu {
 impl Drop for OneCpu {
     fn drop(&mut self) {
         if let Err(error) = sched_setaffinity(Pid::from_raw(0), &self.before) {
-            crate::output::say(&format!("this process keeps to one processor: {error}"));
+            eprintln!("this process keeps to one processor: {error}");
         }
     }
 }
 
+impl Setup {
+    /// The plan of a run with the world of [`World`], for the mentor's sake, and a network of two hidden layers.
+    fn plan(self) -> Result<RunPlan> {
+        let sets = [
+            format!("run.actors={}", self.actors),
+            format!("run.rollout={}", self.rollout),
+            "learner.hidden=[128, 128]".into(),
+        ];
+        // Process ids have 22 bits, and a run's identity 32: none meets this one.
+        static NEXT: AtomicU32 = AtomicU32::new(16);
+        let run = u64::from(std::process::id()) << 32 | u64::from(NEXT.fetch_add(1, Ordering::Relaxed));
+        let mentors = self.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
+        Ok(RunPlan {
+            run,
+            config: config::load("maze30", &sets)?,
+            spec: World::new(2, MENTOR, 0.0).spec(),
+            mentors: mentors.into_iter().collect(),
+            waypoints: None,
+            resume_tick: None,
+            restarts: 0,
+            generation: 0,
+        })
+    }
+
+    /// The commands of its peers, actors first: this program with roles that begin with `prefix`. They read the plan in `dir`.
+    fn peers(self, prefix: &str, dir: &Path) -> Result<Vec<Command>> {
+        let program = std::env::current_exe().context("cannot find the program itself")?;
+        let roles = (0..self.actors).map(|index| ("actor", index));
+        let roles = roles.chain(self.mentor.then_some(("mentor-server", 0)));
+        let command = |(role, index): (&str, u32)| {
+            let mut command = Command::new(&program);
+            command.arg("--peer").arg(format!("{prefix}{role}")).arg(dir);
+            command.args([index.to_string(), self.burst.to_string()]);
+            command
+        };
+        Ok(roles.map(command).collect())
+    }
+}
+
 /// The learner's own side, whichever way.
-struct Learner {
+pub(super) struct Learner {
     plan: RunPlan,
-    setup: Setup,
+    /// Batches that each actor sends a tick.
+    burst: u32,
     weights: Vec<f32>,
     /// The last tick, and the last one that published weights.
     number: u64,
@@ -106,26 +149,8 @@ struct Learner {
 }
 
 impl Learner {
-    fn new(setup: Setup) -> Result<Self> {
-        let sets = [
-            format!("run.actors={}", setup.actors),
-            format!("run.rollout={}", setup.rollout),
-            "learner.hidden=[128, 128]".into(),
-        ];
-        // Process ids have 22 bits, and a run's identity 32: none meets this one.
-        static NEXT: AtomicU32 = AtomicU32::new(16);
-        let run = u64::from(std::process::id()) << 32 | u64::from(NEXT.fetch_add(1, Ordering::Relaxed));
-        let mentors = setup.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
-        let plan = RunPlan {
-            run,
-            config: config::load("maze30", &sets)?,
-            spec: World::new(2, MENTOR, 0.0).spec(),
-            mentors: mentors.into_iter().collect(),
-            waypoints: None,
-            resume_tick: None,
-            restarts: 0,
-            generation: 0,
-        };
+    /// Of the run with `plan`.
+    pub(super) fn new(plan: RunPlan, burst: u32) -> Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone()).context("cannot handle signals")?;
@@ -136,11 +161,11 @@ impl Learner {
             number: 0,
             version: 0,
             index: 0,
-            batches: vec![Batch::default(); setup.actors as usize],
+            batches: vec![Batch::default(); plan.config.run.actors as usize],
             observed: Observed::default(),
             interrupted,
             plan,
-            setup,
+            burst,
         })
     }
 
@@ -187,26 +212,27 @@ pub(super) struct SharedMemory {
 }
 
 impl SharedMemory {
-    /// The processes at the other end: the actors, then the mentor-server.
-    pub(super) fn peers(&self) -> Vec<u32> {
-        self.peers.children.iter().map(Child::id).collect()
+    /// With the peers of this program, which do no work.
+    fn with_own_peers(setup: Setup) -> Result<Self> {
+        let (plan, dir) = prepared(setup)?;
+        let peers = setup.peers("", &dir.0)?;
+        Self::new(Learner::new(plan, setup.burst)?, peers, dir)
     }
 
-    pub(super) fn new(setup: Setup) -> Result<Self> {
-        let learner = Learner::new(setup)?;
-        let mut peers = Peers::new(&learner.plan)?;
+    /// With the processes that `peers` start, all of the run's actors and its mentor-server, which need `dir`.
+    pub(super) fn new(learner: Learner, peers: Vec<Command>, dir: Scratch) -> Result<Self> {
         let domain = Domain::create(learner.plan.run)?;
-        peers.domain = Some(domain.clone());
-        peers.services = Some(Services::create(&domain, &learner.plan)?);
-        for index in 0..setup.actors {
-            peers.start("actor", index, setup.burst)?;
-        }
-        if setup.mentor {
-            peers.start("mentor-server", 0, 1)?;
-        }
+        let mut own = Peers { children: Vec::new(), services: None, domain: Some(domain.clone()), _dir: dir };
+        own.services = Some(Services::create(&domain, &learner.plan)?);
+        peers.into_iter().try_for_each(|peer| own.start(peer))?;
         let mut link = IceoryxLearner::new(&domain, &learner.plan)?;
         link.welcome(&|| learner.interrupted.load(Ordering::Relaxed))?;
-        Ok(Self { link, learner, peers })
+        Ok(Self { link, learner, peers: own })
+    }
+
+    /// The processes at the other end, in the order in which they were started.
+    pub(super) fn peers(&self) -> Vec<u32> {
+        self.peers.children.iter().map(Child::id).collect()
     }
 }
 
@@ -218,7 +244,7 @@ impl Exchange for SharedMemory {
             link.send_weights(tick.weights_version, &learner.weights)?;
         }
         link.send_tick(&tick)?;
-        let mut missing = learner.setup.actors * learner.setup.burst;
+        let mut missing = learner.batches.len() * learner.burst as usize;
         while missing > 0 {
             match link.recv(&mut learner.batches, PATIENCE)? {
                 Some(FromActor::Batch(_)) => missing -= 1,
@@ -226,7 +252,8 @@ impl Exchange for SharedMemory {
                 None => peers.check()?,
             }
         }
-        for actor in 0..learner.batches.len() * usize::from(learner.setup.mentor) {
+        let asked = if learner.plan.mentors.is_empty() { 0 } else { learner.batches.len() };
+        for actor in 0..asked {
             let question = learner.question(actor);
             link.observe(&question, learner.batches[actor].payload(), &mut learner.observed)?;
         }
@@ -245,17 +272,16 @@ struct Sockets {
 
 impl Sockets {
     fn new(setup: Setup) -> Result<Self> {
-        let learner = Learner::new(setup)?;
-        let mut peers = Peers::new(&learner.plan)?;
-        let listener = UnixListener::bind(socket(&peers.dir))?;
-        let mut connect = |role: &str, index, burst| -> Result<UnixStream> {
-            peers.start(role, index, burst)?;
-            Ok(listener.accept()?.0)
-        };
-        let actors = (0..setup.actors)
-            .map(|index| connect("socket-actor", index, setup.burst))
-            .collect::<Result<_>>()?;
-        let mentor = if setup.mentor { Some(connect("socket-mentor-server", 0, 1)?) } else { None };
+        let (plan, dir) = prepared(setup)?;
+        let (listener, commands) = (UnixListener::bind(socket(&dir.0))?, setup.peers("socket-", &dir.0)?);
+        let mut peers = Peers { children: Vec::new(), services: None, domain: None, _dir: dir };
+        let mut actors = Vec::new();
+        for command in commands {
+            peers.start(command)?;
+            actors.push(listener.accept()?.0);
+        }
+        let mentor = if setup.mentor { actors.pop() } else { None };
+        let learner = Learner::new(plan, setup.burst)?;
         Ok(Self { actors, mentor, learner, payload: Vec::new(), _peers: peers })
     }
 }
@@ -276,7 +302,7 @@ impl Exchange for Sockets {
         }
         let (obs_dim, n_actions) = (learner.plan.spec.obs_dim(), learner.plan.spec.n_actions());
         for (actor, batch) in actors.iter_mut().zip(&mut learner.batches) {
-            for _ in 0..learner.setup.burst {
+            for _ in 0..learner.burst {
                 let mut header = BatchHeader::default();
                 actor.read_exact(bytes_of_mut(&mut header))?;
                 payload.resize(words(header.count as usize, header.obs_dim as usize), 0);
@@ -304,39 +330,28 @@ pub(super) fn socket(dir: &Path) -> PathBuf {
     dir.join("socket")
 }
 
-/// A private directory that goes when this does.
-pub(super) fn scratch(name: &str) -> Result<PathBuf> {
-    let dir = std::env::temp_dir().join(format!("trestle-bench-{}-{name}", std::process::id()));
-    fs::DirBuilder::new()
-        .mode(0o700)
-        .create(&dir)
-        .with_context(|| format!("cannot make {}", dir.display()))?;
-    Ok(dir)
+/// The plan of `setup`, and a directory with it.
+fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
+    let plan = setup.plan()?;
+    let dir = Scratch::new(&format!("{:x}", plan.run & 0xffff_ffff))?;
+    write_atomically(&RunDir::new(&dir.0).plan(), &plan.encode()?)?;
+    Ok((plan, dir))
 }
 
 /// The processes at the other end, and what they share. Nothing of it remains when this goes.
 struct Peers {
-    dir: PathBuf,
     children: Vec<Child>,
     services: Option<Services>,
     domain: Option<Domain>,
+    _dir: Scratch,
 }
 
 impl Peers {
-    fn new(plan: &RunPlan) -> Result<Self> {
-        let dir = scratch(&format!("{:x}", plan.run & 0xffff_ffff))?;
-        let peers = Self { dir, children: Vec::new(), services: None, domain: None };
-        write_atomically(&RunDir::new(&peers.dir).plan(), &plan.encode()?)?;
-        Ok(peers)
-    }
-
-    fn start(&mut self, role: &str, index: u32, burst: u32) -> Result<()> {
-        let program = std::env::current_exe().context("cannot find the program itself")?;
-        let mut command = Command::new(program);
-        command.arg("bench-peer").arg(role).arg(&self.dir).args([index.to_string(), burst.to_string()]);
+    /// Starts one, whose standard input stays open for as long as this process lives.
+    fn start(&mut self, mut command: Command) -> Result<()> {
         // A group of its own, so that Ctrl-C reaches this process alone.
-        command.stdin(Stdio::null()).stdout(Stdio::null()).process_group(0);
-        self.children.push(command.spawn().with_context(|| format!("cannot start {role} {index}"))?);
+        command.stdin(Stdio::piped()).stdout(Stdio::null()).process_group(0);
+        self.children.push(command.spawn().with_context(|| format!("cannot start {command:?}"))?);
         Ok(())
     }
 
@@ -361,12 +376,7 @@ impl Drop for Peers {
         self.services = None;
         let removed = self.domain.iter().try_for_each(Domain::remove);
         if let Err(error) = removed {
-            crate::output::say(&format!(
-                "cannot remove what the benchmark shared: {error}; `trestle doctor --fix` can"
-            ));
-        }
-        if let Err(error) = fs::remove_dir_all(&self.dir) {
-            crate::output::say(&format!("cannot remove {}: {error}", self.dir.display()));
+            eprintln!("cannot remove what the benchmark shared: {error}; `trestle doctor --fix` can");
         }
     }
 }

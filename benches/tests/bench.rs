@@ -1,14 +1,35 @@
-//! `trestle bench`: one JSON object a benchmark, with the columns that others rely on. What it measures is not looked at
-//! beyond being there: `--quick` figures say nothing.
+//! The program as its users have it: one JSON object a benchmark, with the columns that others rely on. What it measures
+//! is not looked at beyond being there: `--quick` figures say nothing.
 
-use crate::util::{Place, trestle};
+#![allow(clippy::unwrap_used)]
+
 use serde_json::Value;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const BENCH: &str = env!("CARGO_BIN_EXE_trestle-bench");
+
+/// Runs the program to its end.
+fn bench(args: &[&str]) -> Output {
+    let mut command = Command::new(BENCH);
+    command.args(args);
+    // Tests of all members build `trestle` beside it, and other tests use it meanwhile: then it is not built again.
+    if Path::new(BENCH).with_file_name("trestle").exists() {
+        command.env_remove("CARGO");
+    }
+    command.output().unwrap()
+}
+
+/// The standard output of a benchmark that works.
+fn measured(args: &[&str]) -> String {
+    let output = bench(args);
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
 
 /// The rows of a benchmark, each of which has all of `numbers` above 0.
 fn rows(name: &str, numbers: &[&str]) -> Vec<Value> {
-    let _place = Place::new();
-    let outcome = trestle(&["bench", name, "--json", "--quick"]).ok();
-    let report: Value = serde_json::from_str(&outcome.stdout).unwrap();
+    let report: Value = serde_json::from_str(&measured(&[name, "--json", "--quick"])).unwrap();
     let mut keys: Vec<&String> = report.as_object().unwrap().keys().collect();
     keys.sort();
     assert_eq!(keys, ["machine", "name", "rows"], "{report}");
@@ -96,9 +117,33 @@ fn whole_runs() {
 
 #[test]
 fn a_table_for_people() {
-    let outcome = trestle(&["bench", "replay", "--quick"]).ok();
-    let lines: Vec<&str> = outcome.stdout.lines().collect();
-    assert!(lines[0].starts_with("replay  ("), "{outcome:?}");
-    assert!(lines[1].contains("stored") && lines.len() > 3, "{outcome:?}");
-    trestle(&["bench", "nothing"]).refused(&["nothing", "step"]);
+    let table = measured(&["replay", "--quick"]);
+    let lines: Vec<&str> = table.lines().collect();
+    assert!(lines[0].starts_with("replay  ("), "{table}");
+    assert!(lines[1].contains("stored") && lines.len() > 3, "{table}");
+}
+
+#[test]
+fn a_wrong_name_gets_the_accepted_ones() {
+    let output = bench(&["nothing"]);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    let text = String::from_utf8(output.stderr).unwrap();
+    for word in [
+        "nothing", "step", "infer", "replay", "mentor", "tick", "message", "weights", "idle", "memory",
+        "loop",
+    ] {
+        assert!(text.contains(word), "`{word}` is missing: {text}");
+    }
+}
+
+#[test]
+fn without_trestle_its_place_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let alone = dir.path().join("trestle-bench");
+    std::fs::copy(BENCH, &alone).unwrap();
+    let output = Command::new(&alone).args(["loop", "--quick"]).env_remove("CARGO").output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(text.contains(dir.path().join("trestle").to_str().unwrap()), "{text}");
+    assert!(text.contains("cargo build --release"), "{text}");
 }

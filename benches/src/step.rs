@@ -1,11 +1,11 @@
 //! `step`: one gradient step on each instruction set, beside the least that it could take.
 
 use super::Effort;
-use super::cases::gradient::GradientStep;
 use super::clock::{Case, medians};
 use super::report::Row;
 use anyhow::Result;
 use std::hint::black_box;
+use trestle_bench::gradient::GradientStep;
 use trestle_qnet::kernels::peak::{adam_traffic, multiply_adds};
 use trestle_qnet::{Isa, Kernels, Layout};
 

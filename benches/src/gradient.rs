@@ -11,7 +11,7 @@ use trestle_qnet::{
 const GAMMA: f32 = 0.99;
 
 /// All that a gradient step of DQN or DIIQN touches.
-pub(crate) struct GradientStep {
+pub struct GradientStep {
     layout: Layout,
     kernels: Kernels,
     network: QNetwork,
@@ -31,7 +31,7 @@ pub(crate) struct GradientStep {
 impl GradientStep {
     /// A fresh network of `sizes` (input, hidden layers, output), and `rows` samples with features from -1 to 1; with
     /// `mentor`, DIIQN's, each of which has a similar mentor transition.
-    pub(crate) fn new(sizes: &[usize], rows: usize, mentor: bool, kernels: Kernels) -> Result<Self> {
+    pub fn new(sizes: &[usize], rows: usize, mentor: bool, kernels: Kernels) -> Result<Self> {
         let layout = Layout::new(sizes)?;
         let params = init(&layout, &mut stream(1, Purpose::Weights, 0));
         let forward_rows = if mentor { 2 * rows } else { rows };
@@ -59,13 +59,13 @@ impl GradientStep {
     }
 
     /// Rows of the online network's forward pass.
-    pub(crate) fn forward_rows(&self) -> usize {
+    pub fn forward_rows(&self) -> usize {
         self.rows + self.past.len()
     }
 
     /// One step as the learner takes it: the online network's values (of the mentor's states, too), the choice between
     /// both losses, the target network's values, Huber's derivative, the gradient, Adam.
-    pub(crate) fn run(&mut self) -> Result<()> {
+    pub fn run(&mut self) -> Result<()> {
         let forward_rows = self.forward_rows();
         let Self { layout, kernels, network, rows, past, workspace, adam, x, next, q, q_target, terms, grad } =
             self;

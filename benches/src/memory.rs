@@ -1,13 +1,12 @@
 //! `memory`: what all processes of a run hold together, at most, while its replay fills up.
 
 use super::Effort;
-use super::exchange::scratch;
+use super::program::{Scratch, training, trestle};
 use super::report::Row;
-use super::run_loop::training;
-use crate::machine::words_of_stat;
 use anyhow::{Context, Result, ensure};
 use std::fs;
-use std::process::{Child, Stdio};
+use std::path::Path;
+use std::process::Child;
 use std::thread;
 use std::time::Duration;
 use trestle_learner::replay::bytes_per_transition;
@@ -22,16 +21,15 @@ const DIM: usize = 2;
 const INTERVAL: Duration = Duration::from_millis(20);
 
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
-    ALGOS.into_iter().map(|algo| row(algo, effort.pick(ENV_STEPS[0], ENV_STEPS[1]))).collect()
+    let (program, env_steps) = (trestle()?, effort.pick(ENV_STEPS[0], ENV_STEPS[1]));
+    ALGOS.into_iter().map(|algo| row(&program, algo, env_steps)).collect()
 }
 
-fn row(algo: &str, env_steps: u64) -> Result<Row> {
-    let dir = scratch(&format!("memory-{algo}"))?;
-    let mut command = training(algo, "lockstep", env_steps, &dir)?;
+fn row(program: &Path, algo: &str, env_steps: u64) -> Result<Row> {
+    let dir = Scratch::new("memory")?;
+    let mut command = training(program, algo, "lockstep", env_steps, &dir.0);
     command.args(["--set", &format!("learner.replay={REPLAY}")]);
-    let run = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().context("cannot start a run")?;
-    let (processes, bytes) = peak(run)?;
-    fs::remove_dir_all(&dir).with_context(|| format!("cannot remove {}", dir.display()))?;
+    let (processes, bytes) = peak(command.spawn().context("cannot start a run")?)?;
     Ok(Row::new()
         .with("algo", algo)
         .with("env_steps", env_steps)
@@ -66,7 +64,8 @@ fn children(parent: u32) -> Vec<u32> {
 
 fn parent_of(id: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
-    words_of_stat(&stat)?.nth(1)?.parse().ok()
+    // The process's name, in brackets, may hold anything.
+    stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse().ok()
 }
 
 /// Bytes that a process holds, of what it shares with others its part; none if it has gone.
@@ -80,7 +79,7 @@ fn held(id: u32) -> Option<u64> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use std::process::Command;
+    use std::process::{Command, Stdio};
 
     #[test]
     fn a_process_and_its_children_are_found_and_weighed() {

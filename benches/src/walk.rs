@@ -19,9 +19,9 @@ const TURN: u64 = 3;
 
 /// The world.
 #[derive(Clone, Copy)]
-pub(crate) struct World {
+pub struct World {
     /// Features of a state.
-    pub(crate) dim: usize,
+    pub dim: usize,
     side: i32,
     /// Greatest distance from a cell's middle along each axis, cells.
     jitter: f32,
@@ -36,7 +36,7 @@ struct Walker {
 }
 
 /// An observer under way.
-pub(crate) struct Walk {
+pub struct Walk {
     walker: Walker,
     obs: Vec<f32>,
     next: Vec<f32>,
@@ -45,12 +45,12 @@ pub(crate) struct Walk {
 
 impl World {
     /// The world of a mentor with this many transitions.
-    pub(crate) fn new(dim: usize, mentor: usize, jitter: f32) -> Self {
+    pub fn new(dim: usize, mentor: usize, jitter: f32) -> Self {
         Self { dim, side: (mentor as f64).powf(1.0 / dim as f64).ceil() as i32, jitter }
     }
 
     /// Its spaces: an action for each direction along each axis.
-    pub(crate) fn spec(&self) -> EnvSpec {
+    pub fn spec(&self) -> EnvSpec {
         EnvSpec {
             name: "walk".into(),
             low: vec![-1.0; self.dim],
@@ -64,7 +64,7 @@ impl World {
     }
 
     /// A path of the mentor with this many transitions.
-    pub(crate) fn demonstration(&self, transitions: usize) -> Result<Demonstration> {
+    pub fn demonstration(&self, transitions: usize) -> Result<Demonstration> {
         let mut walker = self.walker(1);
         let mut states = Vec::with_capacity((transitions + 1) * self.dim);
         walker.write(&mut states);
@@ -84,7 +84,7 @@ impl World {
     }
 
     /// An observer at its first state.
-    pub(crate) fn walk(&self) -> Walk {
+    pub fn walk(&self) -> Walk {
         let walker = self.walker(2);
         let mut next = Vec::new();
         walker.write(&mut next);
@@ -131,12 +131,12 @@ impl Walker {
 
 impl Walk {
     /// Features of a state.
-    pub(crate) fn dim(&self) -> usize {
+    pub fn dim(&self) -> usize {
         self.walker.world.dim
     }
 
     /// Its next transition.
-    pub(crate) fn step(&mut self) -> Transition<'_> {
+    pub fn step(&mut self) -> Transition<'_> {
         let action = self.walker.draw(2 * self.dim() as u64) as usize;
         let both = [action, action + 2];
         self.walker.shift(if action < 2 { &both } else { &both[..1] });
@@ -151,7 +151,7 @@ impl Walk {
     }
 
     /// Replaces the content of `batch` by its next `header.count` transitions, under `header`.
-    pub(crate) fn fill(&mut self, header: BatchHeader, batch: &mut Batch) {
+    pub fn fill(&mut self, header: BatchHeader, batch: &mut Batch) {
         batch.prepare(header);
         for at in 0..batch.len() {
             batch.set(at, &self.step());

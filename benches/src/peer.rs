@@ -1,7 +1,6 @@
 //! The other end of [`super::exchange`]: an actor that sends what it has had ready from the start, and a mentor-server
 //! that knows no mentor state.
 
-use super::cases::walk::{Walk, World};
 use super::exchange::socket;
 use anyhow::{Result, bail};
 use bytemuck::{bytes_of, bytes_of_mut, cast_slice, cast_slice_mut};
@@ -9,6 +8,7 @@ use nix::unistd::getppid;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use trestle_bench::walk::{Walk, World};
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::limits::WAIT_SLICE;
@@ -21,12 +21,15 @@ use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
 use trestle_proto::transport::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::weights::WeightsHeader;
 
-/// Serves the benchmark whose plan lies in `dir` until its process is gone. `burst`: batches that an actor sends a tick.
-pub(crate) fn run(role: &str, dir: &Path, index: u32, burst: u32) -> Result<()> {
+/// Serves a benchmark until its process is gone. `args`: the role, the directory with the plan, the actor's index, and
+/// how many batches it sends a tick.
+pub(super) fn run(args: &[String]) -> Result<()> {
+    let [role, dir, index, burst] = args else { bail!("{} values; accepted: 4", args.len()) };
+    let (dir, index, burst) = (Path::new(dir), index.parse()?, burst.parse()?);
     let plan = RunDir::new(dir).read_plan()?;
     let benchmark = getppid();
     let stop = move || getppid() != benchmark;
-    match role {
+    match role.as_str() {
         "actor" => {
             let link = IceoryxActor::new(&Domain::of(plan.run), &plan, index)?;
             act(link, &mut Actor::new(&plan, index), burst, &stop)
@@ -39,9 +42,9 @@ pub(crate) fn run(role: &str, dir: &Path, index: u32, burst: u32) -> Result<()> 
             }
             Ok(())
         }
-        "socket-actor" => until_closed(act_by_socket(socket(dir).as_path(), &plan, index, burst)),
-        "socket-mentor-server" => until_closed(answer_by_socket(socket(dir).as_path(), &plan)),
-        _ => bail!("bench-peer {role}; accepted: actor, mentor-server, socket-actor, socket-mentor-server"),
+        "socket-actor" => until_closed(act_by_socket(&socket(dir), &plan, index, burst)),
+        "socket-mentor-server" => until_closed(answer_by_socket(&socket(dir), &plan)),
+        _ => bail!("--peer {role}; accepted: actor, mentor-server, socket-actor, socket-mentor-server"),
     }
 }
 

@@ -7,8 +7,8 @@ use trestle_qnet::Isa;
 
 /// One benchmark's outcome.
 #[derive(serde::Serialize)]
-pub(crate) struct Report {
-    pub(super) name: &'static str,
+pub(super) struct Report {
+    pub(super) name: String,
     pub(super) machine: Machine,
     pub(super) rows: Vec<Row>,
 }
@@ -75,7 +75,7 @@ impl Machine {
 
 impl Report {
     /// The table, under a line that names the machine.
-    pub(crate) fn table(&self) -> String {
+    pub(super) fn table(&self) -> String {
         let Machine { cpu, cores, isa, kernel, profile, load_average } = &self.machine;
         let load = load_average.map_or("unknown".into(), |load| load.to_string());
         let mut text = format!(
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn columns_keep_their_order_and_align() {
         let row = Row::new().with("hidden", vec![64, 64]).measured("us", 12.34567).measured("naive_ns", None);
-        let report = Report { name: "step", machine: Machine::new(), rows: vec![row] };
+        let report = Report { name: "step".into(), machine: Machine::new(), rows: vec![row] };
         let json = serde_json::to_string(&report).unwrap();
         assert!(json.starts_with(r#"{"name":"step","machine":{"cpu":"#), "{json}");
         assert!(json.ends_with(r#""rows":[{"hidden":[64,64],"us":12.35,"naive_ns":null}]}"#), "{json}");
