@@ -7,7 +7,7 @@ mod output;
 mod build_info;
 mod cli;
 mod commands;
-mod machine;
+mod prepare;
 mod reference;
 mod status;
 mod supervise;

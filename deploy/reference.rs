@@ -4,8 +4,8 @@
 //! distributed run must end with the same weights, bit for bit. What is missing here is everything that could go
 //! wrong between processes.
 
+use crate::prepare::Prepared;
 use crate::supervise::display::Display;
-use crate::supervise::prepare::Prepared;
 use crate::supervise::{Ended, HeldSignals};
 use anyhow::{Context, Result, ensure};
 use std::sync::Arc;

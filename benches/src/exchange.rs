@@ -20,7 +20,7 @@ use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
 use trestle_proto::plan::{MentorPart, RunPlan};
-use trestle_proto::rundir::{RunDir, write_atomically};
+use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 use trestle_proto::tick::{COLLECT, Tick};
 use trestle_proto::transport::iceoryx::{Domain, IceoryxLearner, Services};
 use trestle_proto::transport::{FromActor, LearnerLink};
@@ -334,7 +334,8 @@ pub(super) fn socket(dir: &Path) -> PathBuf {
 fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
     let plan = setup.plan()?;
     let dir = Scratch::new(&format!("{:x}", plan.run & 0xffff_ffff))?;
-    write_atomically(&RunDir::new(&dir.0).plan(), &plan.encode()?)?;
+    let bytes = plan.encode()?;
+    write_atomically(&RunDir::new(&dir.0).plan(), Durable::Later, |file| file.write_all(&bytes))?;
     Ok((plan, dir))
 }
 

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
+use trestle_proto::rundir::RunDir;
 
 const ALGOS: [&str; 2] = ["dqn", "ha-diiqn"];
 const MODES: [&str; 3] = ["reference", "lockstep", "free"];
@@ -41,7 +42,7 @@ fn steps_per_s(program: &Path, algo: &str, mode: &str, env_steps: u64) -> Result
     let dir = Scratch::new("loop")?;
     let status = training(program, algo, mode, env_steps, &dir.0).status().context("cannot start a run")?;
     ensure!(status.success(), "trestle train --algo {algo} --mode {mode} has failed: {status}");
-    let path = dir.0.join(RUN).join("result.json");
+    let path = RunDir::new(dir.0.join(RUN)).result();
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let result: Value = serde_json::from_str(&text)?;
     let number = |key: &str| result[key].as_f64().with_context(|| format!("{} has no {key}", path.display()));

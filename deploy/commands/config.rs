@@ -1,7 +1,7 @@
 //! `trestle config`
 
 use crate::cli::{Config, Source};
-use crate::supervise::prepare;
+use crate::prepare;
 use anyhow::Result;
 use std::process::ExitCode;
 use trestle_proto::config;

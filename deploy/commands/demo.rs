@@ -6,7 +6,7 @@ mod picture;
 mod record;
 
 use crate::cli::Demo;
-use crate::supervise::prepare::{self, Resolved};
+use crate::prepare::{self, Resolved};
 use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,8 +1,8 @@
 //! `trestle sweep`
 
 use crate::cli::Sweep as Args;
+use crate::prepare::{Resolved, resolve};
 use crate::status::INTERRUPTED;
-use crate::supervise::prepare::{Resolved, resolve};
 use crate::sweep::arms::{Arm, MAX_ARMS};
 use crate::sweep::jobs::default_jobs;
 use crate::sweep::manifest::Manifest;

@@ -1,11 +1,11 @@
 //! `trestle train`
 
 use crate::cli::{Algo, Mode, Train};
+use crate::prepare::{self, Existing};
 use crate::reference;
 use crate::status::INTERRUPTED;
-use crate::supervise::{self, Ended, HeldSignals, prepare};
+use crate::supervise::{self, Ended, HeldSignals};
 use anyhow::Result;
-use prepare::Existing;
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

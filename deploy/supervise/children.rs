@@ -6,11 +6,9 @@
 
 use super::Event;
 use super::line::{Fault, Line};
-use super::prepare::Prepared;
+use crate::prepare::Prepared;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
-use nix::errno::Errno;
-use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fmt;
@@ -102,51 +100,28 @@ impl fmt::Display for Death {
 /// A child that has been started.
 pub(super) struct Child {
     pub(super) role: Role,
-    /// Its process id, which may be another's once it does not run any more.
-    pub(super) id: u32,
     pub(super) running: bool,
     /// Why it has been killed, if it was.
     pub(super) fault: Option<Fault>,
     /// To the task that waits for the process.
-    orders: mpsc::UnboundedSender<Order>,
+    signals: mpsc::UnboundedSender<Signal>,
     pub(super) line: Line,
-}
-
-/// What is done to a process.
-#[derive(Debug)]
-enum Order {
-    Signal(Signal),
-    /// Its first thread, which does its work, is to run on these processors, and those that it starts from then on. Those
-    /// that there are stay free.
-    PlaceFirst(CpuSet),
-    /// All its threads are to run on these processors.
-    PlaceAll(CpuSet),
 }
 
 impl Child {
     /// Asks the process to finish what it is doing and leave.
     pub(super) fn terminate(&self) {
-        self.order(Order::Signal(Signal::SIGTERM));
+        self.send(Signal::SIGTERM);
     }
 
     /// Ends the process.
     pub(super) fn kill(&self) {
-        self.order(Order::Signal(Signal::SIGKILL));
+        self.send(Signal::SIGKILL);
     }
 
-    /// Lets the process do its work on `cpu` alone.
-    pub(super) fn place_together(&self, cpu: CpuSet) {
-        self.order(Order::PlaceFirst(cpu));
-    }
-
-    /// Lets the process use all of `cpus`.
-    pub(super) fn place_apart(&self, cpus: CpuSet) {
-        self.order(Order::PlaceAll(cpus));
-    }
-
-    fn order(&self, order: Order) {
+    fn send(&self, signal: Signal) {
         // The task is gone when the process is.
-        let _ = self.orders.send(order);
+        let _ = self.signals.send(signal);
     }
 }
 
@@ -208,9 +183,8 @@ pub(super) fn start(
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
     // So that the child alone holds its end.
     drop(command);
-    let id = process.id().with_context(|| format!("{role} is gone already"))?;
     let stdout = process.stdout.take();
-    let (orders, received) = mpsc::unbounded_channel();
+    let (signals, received) = mpsc::unbounded_channel();
     let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
@@ -222,48 +196,24 @@ pub(super) fn start(
         // A supervisor that no longer listens is itself on its way out.
         let _ = events.send(Event::Exited(role, status)).await;
     });
-    Ok(Child { role, id, running: true, fault: None, orders, line })
+    Ok(Child { role, running: true, fault: None, signals, line })
 }
 
-/// Waits for `process` and does to it what is ordered meanwhile: never after it has been waited for, when its id could be
-/// another's.
+/// Waits for `process` and sends it the signals that come meanwhile: never after it has been waited for, when its id could
+/// be another's.
 async fn wait(
     process: &mut process::Child,
-    mut orders: mpsc::UnboundedReceiver<Order>,
+    mut signals: mpsc::UnboundedReceiver<Signal>,
 ) -> std::io::Result<ExitStatus> {
     loop {
         tokio::select! {
             status = process.wait() => return status,
-            Some(order) = orders.recv() => {
-                let Some(pid) = process.id().map(|id| Pid::from_raw(id.cast_signed())) else { continue };
-                let placed = match order {
-                    Order::Signal(signal) => {
-                        kill(pid, signal)?;
-                        Ok(())
-                    }
-                    Order::PlaceFirst(cpus) => sched_setaffinity(pid, &cpus).map_err(Into::into),
-                    Order::PlaceAll(cpus) => place_all(pid, &cpus),
-                };
-                if let Err(error) = placed {
-                    tracing::debug!("process {pid} stays where it is: {error:#}");
-                }
+            Some(signal) = signals.recv() => {
+                let Some(id) = process.id() else { continue };
+                kill(Pid::from_raw(id.cast_signed()), signal)?;
             }
         }
     }
-}
-
-/// Lets all threads of a process run on `cpus`: those that began while the first one was on fewer have inherited that.
-fn place_all(pid: Pid, cpus: &CpuSet) -> Result<()> {
-    for thread in fs::read_dir(format!("/proc/{pid}/task"))? {
-        let id: i32 =
-            thread?.file_name().to_str().and_then(|id| id.parse().ok()).context("no thread's id")?;
-        match sched_setaffinity(Pid::from_raw(id), cpus) {
-            // It has ended.
-            Err(Errno::ESRCH) => {}
-            placed => placed?,
-        }
-    }
-    Ok(())
 }
 
 /// Passes the learner's progress on until it closes its standard output.
@@ -287,43 +237,5 @@ pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
             lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
         }
         Err(error) => format!("(cannot read {}: {error})", path.display()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use crate::machine::{listed, one_processor, own_processors};
-    use nix::sched::sched_getaffinity;
-    use std::time::{Duration, Instant};
-
-    /// The processors that each thread of a process may run on.
-    fn processors(pid: u32) -> Vec<Vec<usize>> {
-        let threads = fs::read_dir(format!("/proc/{pid}/task")).unwrap();
-        let id = |thread: fs::DirEntry| thread.file_name().to_str().unwrap().parse().unwrap();
-        threads
-            .map(|thread| listed(&sched_getaffinity(Pid::from_raw(id(thread.unwrap()))).unwrap()))
-            .collect()
-    }
-
-    #[tokio::test]
-    async fn a_process_is_placed_and_let_go_and_ended() {
-        let all = own_processors().unwrap();
-        let one = one_processor(listed(&all)[0]).unwrap();
-        let mut process = Command::new("sleep").arg("1000").kill_on_drop(true).spawn().unwrap();
-        let pid = process.id().unwrap();
-        let (orders, received) = mpsc::unbounded_channel();
-        let waiting = tokio::spawn(async move { wait(&mut process, received).await.unwrap() });
-        for (order, expected) in [(Order::PlaceFirst(one), one), (Order::PlaceAll(all), all)] {
-            orders.send(order).unwrap();
-            let deadline = Instant::now() + Duration::from_secs(20);
-            while processors(pid) != [listed(&expected)] {
-                assert!(Instant::now() < deadline, "{:?}", processors(pid));
-                tokio::task::yield_now().await;
-            }
-        }
-        orders.send(Order::Signal(Signal::SIGKILL)).unwrap();
-        assert!(!waiting.await.unwrap().success());
     }
 }

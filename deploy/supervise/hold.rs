@@ -13,7 +13,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// Another process has it.
-pub(super) fn lock(root: &Path) -> Result<Option<Flock<File>>> {
+pub(crate) fn lock(root: &Path) -> Result<Option<Flock<File>>> {
     let dir = File::open(root).with_context(|| format!("cannot open {}", root.display()))?;
     match Flock::lock(dir, FlockArg::LockExclusiveNonblock) {
         Ok(lock) => Ok(Some(lock)),

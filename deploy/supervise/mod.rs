@@ -3,28 +3,23 @@
 //! A run is one attempt after the other: when a process dies, the others are stopped, and all are started again from
 //! the newest complete checkpoint, under a new identity and with new services, as if the run were resumed by hand.
 //!
-//! - [`prepare`]: from a configuration to a run directory and its plan, or a refusal with nothing left behind;
 //! - `restarts`: whether there is another attempt;
 //! - `children`: the processes;
 //! - `display`: what the user sees meanwhile;
-//! - `placement`: on which processor the processes work;
 //! - `hold`: what the run keeps to itself.
 
 mod children;
 pub(crate) mod display;
-mod hold;
+pub(crate) mod hold;
 mod line;
-mod placement;
-pub(crate) mod prepare;
 mod restarts;
 
+use crate::prepare::Prepared;
 use anyhow::{Context, Error, Result, anyhow};
 use children::{Child, Death, How, Role, log_tail};
 use display::Display;
 pub(crate) use hold::HeldSignals;
 use nix::libc::{SIGBUS, SIGKILL};
-use placement::{LOOK, Placement};
-use prepare::Prepared;
 use restarts::{Restarts, Verdict};
 use std::ops::ControlFlow;
 use std::os::unix::process::ExitStatusExt;
@@ -324,9 +319,6 @@ async fn watch(
     let mut beat = tokio::time::interval_at(now + BEAT, BEAT);
     // Beats that this process has missed are nobody's silence.
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut placement = Placement::of(&replacing.prepared.plan().config);
-    let mut look = tokio::time::interval_at(now + LOOK, LOOK);
-    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // The ends of processes that have lost another, which is to blame and whose end may not have been noticed yet.
     let mut consequences: Vec<Death> = Vec::new();
     let blame = tokio::time::sleep(BLAME);
@@ -349,10 +341,6 @@ async fn watch(
                         child.kill();
                     }
                 }
-            }
-            // Until the first progress their environments may still be starting threads.
-            _ = look.tick(), if began && placement.is_some() => {
-                placement.iter_mut().for_each(|placement| placement.look(children));
             }
             () = replacing.next() => {
                 match replacing.start(children) {

@@ -4,8 +4,9 @@ use super::arms::Arm;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use trestle_proto::rundir::write_atomically;
+use trestle_proto::rundir::{Durable, write_atomically};
 
 /// Version of the layout of sweep.json.
 const FORMAT: u32 = 1;
@@ -64,7 +65,8 @@ impl Manifest {
         }
         fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
         let text = serde_json::to_string_pretty(&union)?;
-        Ok(write_atomically(&path, format!("{text}\n").as_bytes())?)
+        write_atomically(&path, Durable::Now, |file| writeln!(file, "{text}"))
+            .with_context(|| format!("cannot write {}", path.display()))
     }
 
     /// Whether `typed` is this sweep, but for arms and seeds that are new or not named this time.

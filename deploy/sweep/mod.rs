@@ -11,8 +11,8 @@ pub(crate) mod over;
 mod progress;
 pub(crate) mod seeds;
 
+use crate::prepare::{Existing, Resolved, resolve, resolve_run};
 use crate::supervise::display::Display;
-use crate::supervise::prepare::{Existing, Resolved, resolve, resolve_run};
 use crate::supervise::{Ended, Signals, supervise};
 use anyhow::{Context, Result};
 use estimate::{Pace, most_steps};
@@ -24,6 +24,9 @@ use std::time::Instant;
 use tokio::task::{JoinSet, LocalSet};
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
+use trestle_proto::rundir::{
+    BUILD_FILE, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR,
+};
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
@@ -261,7 +264,7 @@ fn finished(job: &Job) -> Option<Outcome> {
 /// Whether `dir` holds no more than what a start leaves that was killed before the run had a plan.
 fn is_unborn(dir: &Path) -> bool {
     const FIRST: [&str; 6] =
-        ["config.toml", "command.txt", "build.json", "demonstration.csv", "demonstrations", "logs"];
+        [CONFIG_FILE, COMMAND_FILE, BUILD_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR];
     let known = |name: &std::ffi::OsStr| FIRST.iter().any(|first| name == *first);
     std::fs::read_dir(dir)
         .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| known(&e.file_name()))))

@@ -23,10 +23,11 @@
 use crate::demonstration::{Demonstration, DemonstrationError};
 use csv::{ReaderBuilder, StringRecord};
 use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use trestle_proto::limits::MAX_MENTOR_TRANSITIONS;
+use trestle_proto::rundir::{Durable, write_atomically};
 
 const FIXED_COLUMNS: [&str; 2] = ["trajectory", "terminal"];
 
@@ -204,19 +205,12 @@ impl Source<'_> {
 /// # Errors
 /// What the operating system refuses; nothing is left behind.
 pub fn write(path: &Path, demo: &Demonstration) -> Result<(), DemoFileError> {
-    let io = |e: io::Error| DemoFileError::Io { path: path.into(), message: e.to_string() };
-    let name = path.file_name().ok_or_else(|| io(io::Error::other("not the name of a file")))?;
-    let temporary = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    let written = write_rows(&temporary, demo).and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
-        // Best effort: the first error is the one to report.
-        let _ = fs::remove_file(&temporary);
-    }
-    written.map_err(io)
+    write_atomically(path, Durable::Now, |file| write_rows(file, demo))
+        .map_err(|e| DemoFileError::Io { path: path.into(), message: e.to_string() })
 }
 
-fn write_rows(path: &Path, demo: &Demonstration) -> io::Result<()> {
-    let mut rows = csv::Writer::from_writer(BufWriter::new(File::create(path)?));
+fn write_rows(file: impl Write, demo: &Demonstration) -> io::Result<()> {
+    let mut rows = csv::Writer::from_writer(file);
     rows.write_record(FIXED_COLUMNS.into_iter().chain(demo.names().iter().map(String::as_str)))?;
     for i in 0..demo.n_trajectories() {
         let states = demo.trajectory(i);
@@ -230,9 +224,7 @@ fn write_rows(path: &Path, demo: &Demonstration) -> io::Result<()> {
             rows.write_record(None::<&[u8]>)?;
         }
     }
-    let mut file = rows.into_inner().map_err(|e| io::Error::other(e.to_string()))?;
-    file.flush()?;
-    file.get_ref().sync_all()
+    rows.flush()
 }
 
 #[cfg(test)]
@@ -240,6 +232,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use proptest::prelude::*;
+    use std::fs;
 
     fn read_text(text: &str) -> Result<Demonstration, DemoFileError> {
         let dir = tempfile::tempdir().unwrap();

@@ -1,9 +1,40 @@
-//! A run's directory: what lies where, and writing files so that a reader never sees half of one.
+//! A run's directory: the name of every file in it, and writing files so that a reader never sees half of one.
+//!
+//! Names inside a checkpoint are the checkpoint's own.
 
 use crate::plan::RunPlan;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+
+/// The resolved configuration.
+pub const CONFIG_FILE: &str = "config.toml";
+/// The command that was typed.
+pub const COMMAND_FILE: &str = "command.txt";
+/// Version, commit, processor features and back ends.
+pub const BUILD_FILE: &str = "build.json";
+/// The plan that the run's processes read.
+pub const PLAN_FILE: &str = "plan.bin";
+/// The demonstration that the mentor-server reads.
+pub const DEMONSTRATION_FILE: &str = "demonstration.csv";
+/// The run's own copies of its demonstrations, where there are several.
+pub const DEMONSTRATIONS_DIR: &str = "demonstrations";
+/// What was found out about each mentor transition.
+pub const MENTOR_FILE: &str = "mentor.csv";
+/// What was counted of each incarnation of an actor, in free mode.
+pub const ACTORS_FILE: &str = "actors.csv";
+/// Greedy evaluations.
+pub const EVALS_FILE: &str = "evals.csv";
+/// Episodes and intervals.
+pub const METRICS_FILE: &str = "metrics.jsonl";
+/// Logs, one file a process.
+pub const LOGS_DIR: &str = "logs";
+/// Checkpoints, one directory a tick.
+pub const CHECKPOINTS_DIR: &str = "checkpoints";
+/// Link to the newest complete checkpoint.
+pub const LAST_LINK: &str = "last";
+/// The outcome.
+pub const RESULT_FILE: &str = "result.json";
 
 /// A file or directory of a run that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -53,57 +84,57 @@ impl RunDir {
 
     /// The resolved configuration.
     pub fn config(&self) -> PathBuf {
-        self.root.join("config.toml")
+        self.root.join(CONFIG_FILE)
     }
 
     /// The command that was typed.
     pub fn command(&self) -> PathBuf {
-        self.root.join("command.txt")
+        self.root.join(COMMAND_FILE)
     }
 
     /// Version, commit, processor features and back ends.
     pub fn build(&self) -> PathBuf {
-        self.root.join("build.json")
+        self.root.join(BUILD_FILE)
     }
 
     /// The plan that the run's processes read.
     pub fn plan(&self) -> PathBuf {
-        self.root.join("plan.bin")
+        self.root.join(PLAN_FILE)
     }
 
     /// The demonstration that the mentor-server reads.
     pub fn demonstration(&self) -> PathBuf {
-        self.root.join("demonstration.csv")
+        self.root.join(DEMONSTRATION_FILE)
     }
 
     /// The run's own copy of the demonstration called `name`, where there are several.
     pub fn demonstration_of(&self, name: &str) -> PathBuf {
-        self.root.join("demonstrations").join(format!("{name}.csv"))
+        self.root.join(DEMONSTRATIONS_DIR).join(format!("{name}.csv"))
     }
 
     /// What was found out about each mentor transition.
     pub fn mentor(&self) -> PathBuf {
-        self.root.join("mentor.csv")
+        self.root.join(MENTOR_FILE)
     }
 
     /// What was counted of each incarnation of an actor, in free mode.
     pub fn actors(&self) -> PathBuf {
-        self.root.join("actors.csv")
+        self.root.join(ACTORS_FILE)
     }
 
     /// Greedy evaluations.
     pub fn evals(&self) -> PathBuf {
-        self.root.join("evals.csv")
+        self.root.join(EVALS_FILE)
     }
 
     /// Episodes and intervals.
     pub fn metrics(&self) -> PathBuf {
-        self.root.join("metrics.jsonl")
+        self.root.join(METRICS_FILE)
     }
 
     /// Logs, one file a process.
     pub fn logs(&self) -> PathBuf {
-        self.root.join("logs")
+        self.root.join(LOGS_DIR)
     }
 
     /// The log of one process, such as `learner` or `actor-0`.
@@ -113,17 +144,17 @@ impl RunDir {
 
     /// Checkpoints, one directory a tick.
     pub fn checkpoints(&self) -> PathBuf {
-        self.root.join("checkpoints")
+        self.root.join(CHECKPOINTS_DIR)
     }
 
     /// Link to the newest complete checkpoint.
     pub fn last(&self) -> PathBuf {
-        self.root.join("last")
+        self.root.join(LAST_LINK)
     }
 
     /// The outcome.
     pub fn result(&self) -> PathBuf {
-        self.root.join("result.json")
+        self.root.join(RESULT_FILE)
     }
 
     /// Reads the plan.
@@ -133,24 +164,62 @@ impl RunDir {
     pub fn read_plan(&self) -> Result<RunPlan, RunDirError> {
         let path = self.plan();
         let bytes = fs::read(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound => RunDirError::NotARun { path: self.root.clone(), missing: "plan.bin" },
+            io::ErrorKind::NotFound => RunDirError::NotARun { path: self.root.clone(), missing: PLAN_FILE },
             _ => RunDirError::Io { path: path.clone(), source },
         })?;
         RunPlan::decode(&bytes).map_err(|source| RunDirError::Plan { path, source })
     }
 }
 
-/// Writes `bytes` to `path` by way of a temporary file beside it, so that `path` always holds either what it held or
-/// all of `bytes`, also after a crash.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RunDirError> {
-    let fault = |source| RunDirError::Io { path: path.into(), source };
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(".tmp");
-    let temporary = path.with_file_name(name);
-    let mut file = File::create(&temporary).map_err(fault)?;
-    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(fault)?;
-    fs::rename(&temporary, path).map_err(fault)?;
-    sync_parent(path).map_err(fault)
+/// When a file that has been written is on the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Durable {
+    /// Before the writer goes on. The file survives a power cut.
+    Now,
+    /// When the system finds time. After a power cut the file may be the old one, or empty.
+    Later,
+}
+
+/// Writes the file `path` by way of a temporary file beside it, so that `path` always holds either what it held or all that
+/// `contents` writes. With [`Durable::Now`] this holds after a power cut, too. Where it fails, nothing is left behind.
+///
+/// # Errors
+/// What `contents` or the system says.
+pub fn write_atomically(
+    path: &Path,
+    durable: Durable,
+    contents: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let Some(name) = path.file_name() else { return Err(io::Error::other("not the name of a file")) };
+    let temporary = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
+    let written = write_new(&temporary, durable, contents).and_then(|()| fs::rename(&temporary, path));
+    if written.is_err() {
+        // The first error is the one worth reporting.
+        let _ = fs::remove_file(&temporary);
+    }
+    match durable {
+        Durable::Now => written.and_then(|()| sync_parent(path)),
+        Durable::Later => written,
+    }
+}
+
+fn write_new(
+    path: &Path,
+    durable: Durable,
+    contents: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<()> {
+    // What a process with the same id left that was killed here.
+    match fs::remove_file(path) {
+        Err(e) if e.kind() != ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
+    let mut file = BufWriter::new(OpenOptions::new().write(true).create_new(true).open(path)?);
+    contents(&mut file)?;
+    file.flush()?;
+    match durable {
+        Durable::Now => file.get_ref().sync_all(),
+        Durable::Later => Ok(()),
+    }
 }
 
 /// Makes a renamed or new entry of `path`'s directory survive a crash.
@@ -170,11 +239,19 @@ mod tests {
     fn files_are_replaced_whole() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("result.json");
-        write_atomically(&path, b"one").unwrap();
-        write_atomically(&path, b"two").unwrap();
+        write_atomically(&path, Durable::Now, |file| file.write_all(b"one")).unwrap();
+        write_atomically(&path, Durable::Later, |file| file.write_all(b"two")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-        assert!(write_atomically(&dir.path().join("none/x"), b"").is_err());
+        let half = |file: &mut BufWriter<File>| {
+            file.write_all(b"thr")?;
+            file.flush()?;
+            Err(io::Error::other("no more"))
+        };
+        assert_eq!(write_atomically(&path, Durable::Now, half).unwrap_err().to_string(), "no more");
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file is left");
+        assert!(write_atomically(&dir.path().join("none/x"), Durable::Now, |_| Ok(())).is_err());
+        assert!(write_atomically(Path::new("/"), Durable::Now, |_| Ok(())).is_err());
     }
 
     #[test]

@@ -44,11 +44,7 @@ pub use saver::Saver;
 pub use write::{Cut, Unsynced};
 
 use std::path::{Path, PathBuf};
-
-/// Directory of the checkpoints in a run directory.
-pub const CHECKPOINTS_DIR: &str = "checkpoints";
-/// Link in a run directory to its newest complete checkpoint.
-pub const LAST_LINK: &str = "last";
+use trestle_proto::rundir::CHECKPOINTS_DIR;
 
 const MANIFEST: &str = "MANIFEST";
 const COMPLETE: &str = "COMPLETE";

@@ -2,10 +2,11 @@
 
 use super::error::{CheckpointError, io};
 use super::write::{Cut, Frozen, Saved, Unsynced};
-use super::{CHECKPOINTS_DIR, directory, manifest};
+use super::{directory, manifest};
 use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
+use trestle_proto::rundir::CHECKPOINTS_DIR;
 
 /// Takes the checkpoints of one run, one at a time.
 #[derive(Debug)]

@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use std::fs;
 use tempfile::TempDir;
 use trestle_proto::plan::RunPlan;
+use trestle_proto::rundir::LAST_LINK;
 
 /// Lets `agent` live through `ticks` ticks of the plan's actors.
 fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {
@@ -203,7 +204,7 @@ fn what_does_not_change_the_agent_is_no_part_of_the_fingerprint() {
         &["env.hazard.kind=abort", "env.hazard.after=700"],
         &["eval.every=7"],
         &["checkpoint.keep=9"],
-        &["supervise.restarts=77", "supervise.one_cpu=false"],
+        &["supervise.restarts=77"],
         &["run.env_steps=1234"],
         &["run.stop_when_solved=true"],
     ];

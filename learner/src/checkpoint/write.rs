@@ -3,8 +3,7 @@
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, CHECKPOINTS_DIR, COMPLETE, LAST_LINK, MANIFEST, MODEL, OPTIMIZER,
-    REPLAY, RUN, SCRATCH, TARGET,
+    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, SCRATCH, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use crate::agent::Agent;
@@ -15,6 +14,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use trestle_proto::codec::{self, Kind, MAX_BODY};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
 pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 2 };
 pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };

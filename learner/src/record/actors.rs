@@ -2,11 +2,11 @@
 
 use super::error::{RecordError, io};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
+use std::fmt::Write;
+use std::io::Write as _;
 use std::path::Path;
+use trestle_proto::rundir::{ACTORS_FILE, Durable, write_atomically};
 
-/// Name of the file in a run directory.
-pub const ACTORS_FILE: &str = "actors.csv";
 const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max";
 
 /// What has been counted of one incarnation.
@@ -64,13 +64,9 @@ pub fn write_actors(dir: &Path, rows: &[ActorRow]) -> Result<(), RecordError> {
         text.push('\n');
     }
     let path = dir.join(ACTORS_FILE);
-    let temporary = dir.join(format!(".{ACTORS_FILE}.{}.tmp", std::process::id()));
-    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, &path));
-    if written.is_err() {
-        // The first error is the one worth reporting, and a leftover temporary file harms nothing.
-        let _ = std::fs::remove_file(&temporary);
-    }
-    written.map_err(io("write", &path))
+    // It can be made again from the checkpoint, and a checkpoint does not wait for it.
+    write_atomically(&path, Durable::Later, |file| file.write_all(text.as_bytes()))
+        .map_err(io("write", &path))
 }
 
 #[cfg(test)]

@@ -3,14 +3,12 @@
 //! It holds nothing but what follows from the run's configuration: no times, and the same bytes for equal runs.
 
 use super::error::{RecordError, io};
-use std::fs::File;
-use std::io::{self as stdio, BufWriter, Write};
+use std::io::{self as stdio, Write};
 use std::path::Path;
 use trestle_proto::annotation::{Bridge, Estimate};
 use trestle_proto::plan::MentorPart;
+use trestle_proto::rundir::{Durable, MENTOR_FILE, write_atomically};
 
-/// Name of the file in a run directory.
-pub const MENTOR_FILE: &str = "mentor.csv";
 const COLUMNS: &str =
     "transition,demo,trajectory,step,visited,used,e_kl,a_est,r_est,feasible,bridge_len,a_feas,r_feas";
 
@@ -42,24 +40,17 @@ pub fn write_mentor<'a>(
     rows: impl Iterator<Item = MentorRow<'a>>,
 ) -> Result<(), RecordError> {
     let path = dir.join(MENTOR_FILE);
-    let temporary = dir.join(format!(".{MENTOR_FILE}.{}.tmp", std::process::id()));
-    let written = write_rows(&temporary, parts, dim, rows)
-        .and_then(|()| std::fs::rename(&temporary, &path))
-        .map_err(io("write", &path));
-    if written.is_err() {
-        // The first error is the one worth reporting, and a leftover temporary file harms nothing.
-        let _ = std::fs::remove_file(&temporary);
-    }
-    written
+    // It can be made again from the checkpoint, and a checkpoint does not wait for it.
+    write_atomically(&path, Durable::Later, |file| write_rows(file, parts, dim, rows))
+        .map_err(io("write", &path))
 }
 
 fn write_rows<'a>(
-    path: &Path,
+    file: &mut impl Write,
     parts: &[MentorPart],
     dim: usize,
     rows: impl Iterator<Item = MentorRow<'a>>,
 ) -> stdio::Result<()> {
-    let mut file = BufWriter::new(File::create(path)?);
     write!(file, "{COLUMNS}")?;
     (0..dim).try_for_each(|feature| write!(file, ",s{feature}"))?;
     writeln!(file)?;
@@ -84,8 +75,7 @@ fn write_rows<'a>(
         row.state.iter().try_for_each(|x| write!(file, ",{x}"))?;
         writeln!(file)?;
     }
-    // Not synced: it can be made again from the checkpoint, and a checkpoint does not wait for it.
-    file.flush()
+    Ok(())
 }
 
 #[cfg(test)]

@@ -29,12 +29,12 @@ mod result;
 mod solved;
 mod tensorboard;
 
-pub use actors::{ACTORS_FILE, ActorRow, Staleness, write_actors};
+pub use actors::{ActorRow, Staleness, write_actors};
 pub use error::RecordError;
-pub use mentor::{MENTOR_FILE, MentorRow, write_mentor};
+pub use mentor::{MentorRow, write_mentor};
 pub use metrics::{Episode, Gauges, MentorGauges, WINDOW};
 pub use progress::{Counters, Limits, Progress, seconds_left};
-pub use result::{RESULT_FILE, RunResult, write_result};
+pub use result::{RunResult, write_result};
 pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};
 
 use crate::checkpoint::Unsynced;
@@ -44,11 +44,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tensorboard::EventWriter;
+use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 
-/// Name of the file of greedy evaluations in a run directory.
-pub const EVALS_FILE: &str = "evals.csv";
-/// Name of the file of metrics in a run directory.
-pub const METRICS_FILE: &str = "metrics.jsonl";
 /// Time between interval rows, as a loop that has no reason for another would set it.
 pub const METRICS_EVERY: Duration = Duration::from_secs(1);
 /// Time between progress lines, likewise.

@@ -2,12 +2,9 @@
 
 use super::error::{RecordError, io};
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::io::Write;
 use std::path::Path;
-
-/// Name of the file in a run directory.
-pub const RESULT_FILE: &str = "result.json";
+use trestle_proto::rundir::{Durable, RESULT_FILE, write_atomically};
 
 /// What a run came to. Its fields are the keys of `result.json`, in this order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,23 +50,10 @@ pub struct RunResult {
 /// part.
 pub fn write_result(dir: &Path, result: &RunResult) -> Result<(), RecordError> {
     let path = dir.join(RESULT_FILE);
-    let temporary = dir.join(format!(".{RESULT_FILE}.{}.tmp", std::process::id()));
-    let written = replace(&temporary, &path, result);
-    if written.is_err() {
-        // The first error is the one worth reporting, and a leftover temporary file harms nothing.
-        let _ = std::fs::remove_file(&temporary);
-    }
-    written
-}
-
-fn replace(temporary: &Path, path: &Path, result: &RunResult) -> Result<(), RecordError> {
     let mut text =
-        serde_json::to_string_pretty(result).map_err(std::io::Error::from).map_err(io("encode", path))?;
+        serde_json::to_string_pretty(result).map_err(std::io::Error::from).map_err(io("encode", &path))?;
     text.push('\n');
-    let mut file = File::create(temporary).map_err(io("create", temporary))?;
-    file.write_all(text.as_bytes()).map_err(io("write", temporary))?;
-    file.sync_all().map_err(io("write", temporary))?;
-    std::fs::rename(temporary, path).map_err(io("replace", path))
+    write_atomically(&path, Durable::Now, |file| file.write_all(text.as_bytes())).map_err(io("write", &path))
 }
 
 #[cfg(test)]

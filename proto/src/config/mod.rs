@@ -416,8 +416,6 @@ pub struct Supervise {
     pub silence_s: u32,
     /// Seconds without progress in its work after which a process counts as dead, 3 to 86400; 0 for never.
     pub stall_s: u32,
-    /// Whether processes that take turns are kept on one processor while no other program wants it.
-    pub one_cpu: bool,
 }
 
 impl Default for Run {
@@ -527,7 +525,7 @@ impl Default for Eval {
 
 impl Default for Supervise {
     fn default() -> Self {
-        Self { restarts: 5, silence_s: 10, stall_s: 300, one_cpu: true }
+        Self { restarts: 5, silence_s: 10, stall_s: 300 }
     }
 }
 

@@ -1,13 +1,14 @@
-//! From a configuration to a run directory with its plan, or a refusal that leaves nothing behind.
+//! A run's directory: made, taken over, replaced or given up.
 //!
-//! Everything that can be refused is refused before the first file is written. Until the run has begun to train, the
-//! directory can still be given up; what `--overwrite` replaces is kept beside it until then.
+//! Until the run has begun to train, the directory can still be given up; what `--overwrite` replaces is kept beside it
+//! until then.
 
-use super::hold::lock;
+use super::probes::check_shared_memory;
+use super::resolve::{Resolved, copy_of};
 use crate::build_info::BuildInfo;
+use crate::supervise::hold::lock;
 use anyhow::{Context, Result, bail, ensure};
 use nix::fcntl::Flock;
-use nix::sys::statvfs::statvfs;
 use std::cell::Cell;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -16,64 +17,21 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::demonstration::Demonstration;
-use trestle_mentor_server::summary::{Summary, summarise};
-use trestle_proto::config::{self, Config, Demos, Mode, PLAN, PhysicsBackend, Threshold};
-use trestle_proto::plan::{MentorPart, RunPlan};
-use trestle_proto::rundir::{RunDir, write_atomically};
-use trestle_proto::similarity::metric::Metric;
-use trestle_proto::space::EnvSpec;
+use trestle_proto::config::{self, Mode};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 use trestle_proto::transport::iceoryx::Domain;
 use trestle_proto::transport::iceoryx::services::Sizes;
 
 /// What to do with a directory that exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Existing {
-    /// Refuse.
+    /// Keep what is there: the start is refused if the directory holds anything.
     Keep,
     /// Go on from its newest complete checkpoint.
     Resume,
     /// Replace the run in it.
     Overwrite,
-}
-
-/// A configuration that has met its environment and its demonstration: a run could start with it.
-#[derive(Clone, Debug)]
-pub(crate) struct Resolved {
-    pub(crate) config: Config,
-    pub(crate) spec: EnvSpec,
-    /// None for `dqn`.
-    pub(crate) mentors: Option<Mentors>,
-}
-
-/// What a run learns from, under its metric.
-#[derive(Clone, Debug)]
-pub(crate) struct Mentors {
-    /// The demonstrations by name, in the order of `mentor.demo`.
-    each: Vec<(String, Demonstration)>,
-    /// All of them as one.
-    pub(crate) all: Demonstration,
-    pub(crate) summary: Summary,
-}
-
-impl Mentors {
-    /// Puts numbers in the place of thresholds that are `auto`.
-    fn resolve_thresholds(&self, mentor: &mut config::Mentor) -> Result<()> {
-        if mentor.e_th != Threshold::Auto && mentor.e_infeas != Threshold::Auto {
-            return Ok(());
-        }
-        let auto = self.summary.auto().context(
-            "mentor.e_th or mentor.e_infeas is auto, but no state of the demonstration differs from those after it; \
-             accepted: a number above 0",
-        )?;
-        for (threshold, kl) in [(&mut mentor.e_th, auto.e_th), (&mut mentor.e_infeas, auto.e_infeas)] {
-            if *threshold == Threshold::Auto {
-                ensure!(kl > 0.0, "the demonstration's steps are too small for thresholds that are auto");
-                *threshold = Threshold::Kl(kl);
-            }
-        }
-        Ok(())
-    }
 }
 
 /// A run directory that is ready for its processes. If this goes before the run has begun to train, the directory
@@ -93,167 +51,7 @@ pub(crate) struct Prepared {
     _lock: Option<Flock<File>>,
 }
 
-/// Resolves and checks everything about `config` that needs its map and its demonstration.
-pub(crate) fn resolve(mut config: Config) -> Result<Resolved> {
-    config.validate()?;
-    trestle_actor::env::resolve(&mut config.env, config.run.seed)?;
-    meet(config)
-}
-
-/// The run in `root` as it is to go on: with its own settings, map and demonstration, and the limits of `typed`, which
-/// must name the same settings.
-pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
-    let dir = RunDir::new(root);
-    let path = dir.config();
-    let text =
-        fs::read_to_string(&path).with_context(|| format!("--resume: cannot read {}", path.display()))?;
-    let mut own = config::parse_toml(&path.display().to_string(), &text)?;
-    own.run.episodes = typed.run.episodes;
-    own.run.env_steps = typed.run.env_steps;
-    own.run.stop_when_solved = typed.run.stop_when_solved;
-    own.supervise = typed.supervise.clone();
-    own.env.hazard = typed.env.hazard;
-    // The run's map and demonstration are in its directory: where they came from no longer matters.
-    let mut typed = typed.clone();
-    typed.env.layout.clone_from(&own.env.layout);
-    if typed.env.point_maze.backend == PhysicsBackend::Auto {
-        typed.env.point_maze.backend = own.env.point_maze.backend;
-    }
-    typed.mentor.demo = typed.mentor.demo.map_files(|name, source| {
-        own.mentor.demo.get(name).filter(|own| *own != PLAN).unwrap_or(source).into()
-    });
-    let demo = own.mentor.demo.clone();
-    own.mentor.demo = demo.map_files(|name, _| copy_of(&dir, &demo, name).display().to_string());
-    let mut resolved = meet(own)?;
-    resolved.config.mentor.demo = demo;
-    let own = &resolved.config;
-    if let Some(mentors) = &resolved.mentors {
-        mentors.resolve_thresholds(&mut typed.mentor)?;
-    }
-    if *own != typed {
-        let (old, new) = (config::to_toml(own), config::to_toml(&typed));
-        let differing = old.lines().zip(new.lines()).find(|(old, new)| old != new);
-        let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
-        bail!(
-            "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes, run.env_steps, run.stop_when_solved and what is in [env.hazard] and [supervise]",
-            root.display()
-        );
-    }
-    Ok(resolved)
-}
-
-/// Where the run in `dir` keeps its own copy of the demonstration called `name`, one of `demos`.
-fn copy_of(dir: &RunDir, demos: &Demos, name: &str) -> PathBuf {
-    if demos.is_one() { dir.demonstration() } else { dir.demonstration_of(name) }
-}
-
-/// A configuration with its map meets the environment and the demonstrations.
-fn meet(mut config: Config) -> Result<Resolved> {
-    let env = trestle_actor::env::build(&config.env)?;
-    let spec = env.spec().clone();
-    spec.validate()?;
-    let mentors = if config.needs_demonstration() {
-        let mentors = mentors(&config, &spec)?;
-        mentors.resolve_thresholds(&mut config.mentor)?;
-        Some(mentors)
-    } else {
-        None
-    };
-    let resolved = Resolved { config, spec, mentors };
-    let plan = resolved.plan(0, None);
-    let run = &plan.config.run;
-    ensure!(
-        !run.stop_when_solved || plan.threshold().is_some(),
-        "run.stop_when_solved = true, but {} has no return that counts as solved; accepted: false, or eval.threshold",
-        plan.spec.name
-    );
-    trestle_qnet::network_of(&plan)?;
-    trestle_qnet::kernels_of(&plan)?;
-    Ok(resolved)
-}
-
-/// The demonstrations that `config` names.
-fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
-    let each = config.mentor.demo.iter().map(|(name, source)| {
-        let demonstration = demonstration(config, source, spec)?;
-        Ok((name.to_string(), demonstration))
-    });
-    let each = each.collect::<Result<Vec<_>>>()?;
-    let mut rest = each.iter();
-    let (_, first) = rest.next().context("mentor.demo names no demonstration")?;
-    let mut all = first.clone();
-    rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
-    let mentor = &config.mentor;
-    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &spec.scale, all.states())?;
-    let summary = summarise(&all, &metric, mentor.n as usize);
-    Ok(Mentors { each, all, summary })
-}
-
-/// The demonstration from `source`: planned, or read from a file.
-fn demonstration(config: &Config, source: &str, spec: &EnvSpec) -> Result<Demonstration> {
-    if source == PLAN {
-        let states = trestle_actor::env::plan_states(&config.env, &config.mentor.actions)?;
-        let names = (0..spec.obs_dim()).map(|i| format!("s{i}")).collect();
-        let mut demonstration = Demonstration::new(names)?;
-        demonstration.push_trajectory(&states.concat(), true)?;
-        return Ok(demonstration);
-    }
-    let path = Path::new(source);
-    let demonstration = demo_file::read(path)?;
-    let (found, expected) = (demonstration.dim(), spec.obs_dim());
-    ensure!(
-        found == expected,
-        "mentor.demo = {}: its states have {found} features; accepted: {expected}, as in {}",
-        path.display(),
-        spec.name
-    );
-    for (row, state) in demonstration.states().chunks_exact(expected).enumerate() {
-        for (feature, &value) in state.iter().enumerate() {
-            let (low, high) = (spec.low[feature], spec.high[feature]);
-            ensure!(
-                (low..=high).contains(&value) && (!spec.integral || value.fract() == 0.0),
-                "mentor.demo = {}: state {row} has {value} as feature {feature}; accepted: {}{low} to {high}, as in {}",
-                path.display(),
-                if spec.integral { "whole numbers from " } else { "" },
-                spec.name
-            );
-        }
-    }
-    Ok(demonstration)
-}
-
 impl Resolved {
-    /// What is likely to be a mistake, though it could be run.
-    pub(crate) fn warnings(&self) -> Vec<String> {
-        let mentor = &self.config.mentor;
-        match (&self.mentors, mentor.e_th.known(), mentor.e_infeas.known()) {
-            (Some(mentors), Some(e_th), Some(e_infeas)) => mentors.summary.warnings(e_th, e_infeas),
-            _ => Vec::new(),
-        }
-    }
-
-    /// What the run's processes need to know.
-    fn plan(&self, run: u64, resume_tick: Option<u64>) -> RunPlan {
-        let part = |(name, demonstration): &(String, Demonstration)| MentorPart {
-            name: name.clone(),
-            transitions: demonstration.n_transitions(),
-        };
-        // Shaping needs a demonstration, but no mentor-server.
-        let mentors = self.mentors.as_ref().filter(|_| self.config.run.algo.has_mentor());
-        let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
-        RunPlan {
-            run,
-            config: self.config.clone(),
-            spec: self.spec.clone(),
-            mentors: mentors.into_iter().flat_map(|mentors| &mentors.each).map(part).collect(),
-            waypoints: waypoints.map(|mentors| mentors.all.waypoints()),
-            resume_tick,
-            restarts: 0,
-            generation: 0,
-        }
-    }
-
     /// Whether a run with these counts has reached the limits of this configuration.
     fn reached(&self, episodes: u64, env_steps: u64) -> bool {
         let run = &self.config.run;
@@ -310,11 +108,6 @@ impl Resolved {
         let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), _lock: held };
         prepared.write(&self)?;
         Ok(prepared)
-    }
-
-    /// Bytes of shared memory that a run takes, at the most.
-    pub(crate) fn shared_memory_bytes(&self) -> u64 {
-        Sizes::of(&self.plan(0, None)).shared_memory_bytes()
     }
 
     /// What the run in `root` came to, if it has reached the limits of this configuration or stopped because it is solved.
@@ -374,40 +167,44 @@ impl Prepared {
     }
 
     /// The tick of the newest checkpoint that the run can go on from, if there is one.
-    pub(super) fn newest_checkpoint(&self) -> Result<Option<u64>> {
+    pub(crate) fn newest_checkpoint(&self) -> Result<Option<u64>> {
         Ok(checkpoint::newest_resumable(self.dir.root(), &self.plan)?.map(|(tick, _)| tick))
     }
 
     /// The tick that the link to the newest checkpoint names, whether that is sound or not: for whoever only wants to know
     /// whether the run gets ahead.
-    pub(super) fn last_checkpoint(&self) -> Option<u64> {
+    pub(crate) fn last_checkpoint(&self) -> Option<u64> {
         let target = fs::read_link(self.dir.last()).ok()?;
         target.file_name()?.to_str()?.parse().ok()
     }
 
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
-    pub(super) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
+    pub(crate) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
         check_shared_memory(Sizes::of(&self.plan).shared_memory_bytes())?;
         self.plan.run = new_identity();
         self.replace_learner(tick)
     }
 
     /// Makes the directory ready for another learner, which goes on from checkpoint `tick` or from the beginning.
-    pub(super) fn replace_learner(&mut self, tick: Option<u64>) -> Result<()> {
+    pub(crate) fn replace_learner(&mut self, tick: Option<u64>) -> Result<()> {
         self.plan.resume_tick = tick;
         self.plan.generation = next_generation(self.plan.generation)?;
         self.count_restart()
     }
 
     /// Notes that one process more has been started again.
-    pub(super) fn count_restart(&mut self) -> Result<()> {
+    pub(crate) fn count_restart(&mut self) -> Result<()> {
         self.plan.restarts += 1;
-        Ok(write_atomically(&self.dir.plan(), &self.plan.encode()?)?)
+        self.write_plan()
+    }
+
+    fn write_plan(&self) -> Result<()> {
+        save(&self.dir.plan(), &self.plan.encode()?)
     }
 
     /// Adds a line to the supervisor's log.
-    pub(super) fn note(&self, text: &str) {
+    pub(crate) fn note(&self, text: &str) {
         let path = self.dir.log("supervisor");
         let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
         let written = OpenOptions::new()
@@ -445,11 +242,11 @@ impl Prepared {
     fn write(&self, resolved: &Resolved) -> Result<()> {
         let dir = &self.dir;
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
-        write_atomically(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
+        save(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
         let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
-        write_atomically(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
+        save(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
         let build = serde_json::to_string_pretty(&BuildInfo::new(&resolved.config.env))?;
-        write_atomically(&dir.build(), format!("{build}\n").as_bytes())?;
+        save(&dir.build(), format!("{build}\n").as_bytes())?;
         if let Some(mentors) = resolved.mentors.as_ref().filter(|_| self.fresh) {
             demo_file::write(&dir.demonstration(), &mentors.all)?;
             let demos = &resolved.config.mentor.demo;
@@ -462,8 +259,7 @@ impl Prepared {
                 demo_file::write(&path, demonstration)?;
             }
         }
-        write_atomically(&dir.plan(), &self.plan.encode()?)?;
-        Ok(())
+        self.write_plan()
     }
 }
 
@@ -485,6 +281,12 @@ fn make(root: &Path, fresh: bool) -> Result<Option<Flock<File>>> {
     // Another start may have been quicker, and be over.
     ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
     Ok(lock)
+}
+
+/// Writes a small file of the run.
+fn save(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomically(path, Durable::Now, |file| file.write_all(bytes))
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Removes all that is in `dir`.
@@ -529,27 +331,6 @@ fn new_identity() -> u64 {
     let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
     let word = trestle_proto::rng::mix(nanos ^ u64::from(std::process::id()) << 32);
     word >> 32
-}
-
-/// Refuses to start where shared memory is missing or too small.
-fn check_shared_memory(needed: u64) -> Result<()> {
-    let shm = Path::new("/dev/shm");
-    let stat = statvfs(shm).with_context(|| {
-        format!("{} cannot be used; a run needs {} MiB of shared memory there", shm.display(), needed >> 20)
-    })?;
-    let free = stat.blocks_available() * stat.fragment_size();
-    ensure!(
-        free >= needed,
-        "{} has {} MiB free; this run needs {} MiB: make room, mount it larger, or lower run.actors, run.rollout \
-         or learner.hidden",
-        shm.display(),
-        free >> 20,
-        needed.div_ceil(1 << 20)
-    );
-    let probe = shm.join(format!("trestle-probe-{}", std::process::id()));
-    fs::write(&probe, b"x")
-        .and_then(|()| fs::remove_file(&probe))
-        .with_context(|| format!("{} cannot be written to", shm.display()))
 }
 
 /// `arg` as a shell would need it.

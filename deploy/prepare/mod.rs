@@ -1,0 +1,14 @@
+//! From a configuration to a run that is ready to start, or a refusal that leaves nothing behind.
+//!
+//! - `resolve`: the configuration meets its environment and its demonstrations, and becomes a plan;
+//! - `probes`: what the machine must offer;
+//! - `directory`: the run's directory is made, replaced, or taken over to go on in it.
+//!
+//! Everything that can be refused is refused before the first file is written.
+
+mod directory;
+mod probes;
+mod resolve;
+
+pub(crate) use directory::{Existing, Prepared};
+pub(crate) use resolve::{Resolved, resolve, resolve_run};
