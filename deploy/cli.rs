@@ -1,5 +1,6 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
+use crate::flags::{Limits, help, presets, word};
 use crate::sweep::arms::Arm;
 use crate::sweep::jobs::MAX_JOBS;
 use crate::sweep::over::Over;
@@ -7,6 +8,7 @@ use crate::sweep::seeds::Seeds;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use trestle_mentor_server::import::{Columns, Episodes};
+use trestle_proto::config::{Algo, Config as Settings, Mode};
 
 /// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
 #[derive(Debug, Parser)]
@@ -60,26 +62,19 @@ pub(crate) struct Source {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = presets())]
 pub(crate) struct Train {
     #[command(flatten)]
     pub(crate) source: Source,
-    /// The algorithm [run.algo]
-    #[arg(long)]
+    #[arg(long, value_parser = word::<Algo>(), help = help("run.algo"))]
     pub(crate) algo: Option<Algo>,
-    /// Seed of all random streams [run.seed]
-    #[arg(long)]
+    #[arg(long, value_name = "N", help = help("run.seed"))]
     pub(crate) seed: Option<u64>,
-    /// End with this many episodes [run.episodes]
-    #[arg(long, value_name = "N")]
-    pub(crate) episodes: Option<u64>,
-    /// End with this many environment steps over all actors [run.env_steps]
-    #[arg(long, value_name = "N")]
-    pub(crate) env_steps: Option<u64>,
-    /// How the processes work together [run.mode]
-    #[arg(long)]
+    #[command(flatten)]
+    pub(crate) limits: Limits,
+    #[arg(long, value_parser = word::<Mode>(), help = help("run.mode"))]
     pub(crate) mode: Option<Mode>,
-    /// Number of actor processes [run.actors]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = help("run.actors"))]
     pub(crate) actors: Option<u32>,
     /// The run's directory; runs/CONFIG-ALGO-seedN if not given
     #[arg(long, value_name = "DIR")]
@@ -95,12 +90,25 @@ pub(crate) struct Train {
     pub(crate) quiet: bool,
 }
 
+impl Train {
+    /// Sets what the flags say.
+    pub(crate) fn apply(&self, config: &mut Settings) {
+        let run = &mut config.run;
+        run.algo = self.algo.unwrap_or(run.algo);
+        run.seed = self.seed.unwrap_or(run.seed);
+        run.mode = self.mode.unwrap_or(run.mode);
+        run.actors = self.actors.unwrap_or(run.actors);
+        self.limits.apply(config);
+    }
+}
+
 #[derive(Debug, Args)]
+#[command(after_help = presets())]
 pub(crate) struct Sweep {
     #[command(flatten)]
     pub(crate) source: Source,
     /// Algorithms, each an arm of its own; with no --arm either: that of the configuration
-    #[arg(long, value_name = "ALGO,...", value_delimiter = ',')]
+    #[arg(long, value_name = "ALGO,...", value_delimiter = ',', value_parser = word::<Algo>())]
     pub(crate) algos: Vec<Algo>,
     /// A further arm with settings of its own; may be repeated
     #[arg(long = "arm", value_name = "NAME:KEY=VALUE,...")]
@@ -114,12 +122,8 @@ pub(crate) struct Sweep {
     /// Runs at once; as many as cores and memory allow if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_JOBS as i64))]
     pub(crate) jobs: Option<u16>,
-    /// End each run with this many episodes [run.episodes]
-    #[arg(long, value_name = "N")]
-    pub(crate) episodes: Option<u64>,
-    /// End each run with this many environment steps [run.env_steps]
-    #[arg(long, value_name = "N")]
-    pub(crate) env_steps: Option<u64>,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
     /// The sweep's directory
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
@@ -139,37 +143,6 @@ pub(crate) struct Report {
     /// Where the report goes; DIR/report if not given
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Algo {
-    /// Deep Q-network, no mentor
-    Dqn,
-    /// Implicit imitation, every mentor transition taken as feasible
-    Diiqn,
-    /// Implicit imitation with feasibility and bridges
-    HaDiiqn,
-}
-
-impl Algo {
-    /// Its name in configurations and results.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Dqn => "dqn",
-            Self::Diiqn => "diiqn",
-            Self::HaDiiqn => "ha-diiqn",
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Mode {
-    /// Processes in step: the result depends on configuration and seed alone
-    Lockstep,
-    /// Every actor streams, and only a process that dies is replaced; the result depends on the timing, too
-    Free,
-    /// The same algorithm in one process, to compare with
-    Reference,
 }
 
 #[derive(Debug, Args)]
@@ -292,6 +265,12 @@ pub(crate) enum Config {
     Show(Source),
     /// Say whether a run could start with a configuration
     Check(Source),
+    /// Print settings with type, default, what is accepted, and what they are for
+    List {
+        /// A setting or a table, such as run.actors or learner; everything if not given
+        #[arg(value_name = "KEY")]
+        key: Option<String>,
+    },
 }
 
 #[derive(Debug, Args)]

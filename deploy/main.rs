@@ -7,6 +7,7 @@ mod output;
 mod build_info;
 mod cli;
 mod commands;
+mod flags;
 mod prepare;
 mod reference;
 mod status;

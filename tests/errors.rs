@@ -62,11 +62,11 @@ fn settings() {
     let cases: [(&str, &[&str]); 18] = [
         ("learner.gamma=1.5", &["learner.gamma = 1.5", "accepted: 0 to 1"]),
         ("learner.lr=0", &["learner.lr = 0", "above 0"]),
-        ("learner.lr=nan", &["learner.lr = NaN", "above 0"]),
+        ("learner.lr=nan", &["learner.lr = nan", "above 0"]),
         ("learner.batch=0", &["learner.batch = 0", "1 to 1024"]),
         ("learner.batch=many", &["learner.batch", "many"]),
         ("learner.hidden=[]", &["learner.hidden = []", "1 to 6 layers"]),
-        ("learner.hidden=[64, 0]", &["learner.hidden = 0", "1 to 4096"]),
+        ("learner.hidden=[64, 0]", &["learner.hidden = [64, 0]", "1 to 4096"]),
         ("learner.replay=8", &["learner.replay = 8", "learner.batch"]),
         ("learner.gama=0.9", &["learner", "gama", "gamma"]),
         ("run.actors=65", &["run.actors = 65", "1 to 64"]),

@@ -11,6 +11,7 @@ mod concurrency;
 mod demonstrations;
 mod determinism;
 mod doctor;
+mod documentation;
 mod errors;
 mod faults;
 mod free;

@@ -2,12 +2,14 @@
 
 use crate::cli::{Config, Source};
 use crate::prepare;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::process::ExitCode;
-use trestle_proto::config;
+use trestle_proto::config::{self, Field};
+use trestle_proto::names;
 
 pub(super) fn run(args: &Config) -> Result<ExitCode> {
     match args {
+        Config::List { key } => list(key.as_deref())?,
         Config::Show(source) => show(&load(source)?)?,
         Config::Check(source) => {
             let resolved = prepare::resolve(load(source)?)?;
@@ -34,6 +36,31 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints the setting `key`, the settings of the table `key`, or all.
+fn list(key: Option<&str>) -> Result<()> {
+    let all = config::Config::declared("");
+    let below = |key: &str, of: &str| {
+        of.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+    };
+    let asked: Vec<_> = all.iter().filter(|setting| key.is_none_or(|key| below(key, &setting.key))).collect();
+    if let Some(key) = key.filter(|_| asked.is_empty()) {
+        let elsewhere = all.iter().find(|setting| setting.name() == key);
+        let known = all.iter().flat_map(|setting| [setting.key.as_str(), setting.table()]);
+        let hint = elsewhere
+            .map_or_else(|| names::hint(key, known), |setting| format!("; did you mean `{}`?", setting.key));
+        bail!("{key}: there is no such setting or table{hint}");
+    }
+    for setting in asked {
+        let config::Setting { key: name, kind, default, accepted, help, choices } = setting;
+        outln!("{name}: {kind}, default {default}, accepted: {accepted}");
+        outln!("    {help}");
+        for (word, meaning) in choices.iter().filter(|_| key.is_some()) {
+            outln!("    {word}: {meaning}");
+        }
+    }
+    Ok(())
 }
 
 /// Every setting; what is not set, which TOML cannot say, as comments.

@@ -17,15 +17,16 @@ use trestle_report::stats::median;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "sweep", "warn");
-    let (arms, sets, seeds) = (arms(args)?, overrides(args), &args.seeds.0);
+    let (arms, sets, seeds) = (arms(args)?, &args.source.sets, &args.seeds.0);
     let mut shared = 0;
     for arm in &arms {
         // Each arm is resolved as a run of it would be, before anything is started or written.
-        let resolved = check(configuration(&args.source.config, &sets, arm, seeds[0])?)
+        let resolved = check(configuration(&args.source.config, sets, args.limits, arm, seeds[0])?)
             .with_context(|| format!("arm {}", arm.name))?;
         shared = shared.max(resolved.shared_memory_bytes());
     }
-    let all = jobs(&args.source.config, &sets, &arms, seeds, &args.out)?;
+    let all = jobs(&args.source.config, sets, args.limits, &arms, seeds, &args.out)?;
+    let sets = sets.iter().cloned().chain(args.limits.record()).collect();
     Manifest::new(&args.source.config, sets, arms.clone(), seeds.clone()).claim(&args.out, args.resume)?;
     let sweep = Sweep {
         arms: arms.into_iter().map(|arm| arm.name).collect(),
@@ -59,11 +60,11 @@ fn check(config: trestle_proto::config::Config) -> Result<Resolved> {
 
 /// The arms as typed: plain algorithms first; without any, the configuration as it is.
 fn arms(args: &Args) -> Result<Vec<Arm>> {
-    let plain = args.algos.iter().map(|algo| Arm::plain(algo.name()));
+    let plain = args.algos.iter().copied().map(Arm::plain);
     let mut arms: Vec<Arm> = plain.chain(args.arms.iter().cloned()).collect();
     if arms.is_empty() {
         let config = trestle_proto::config::load(&args.source.config, &args.source.sets)?;
-        arms.push(Arm::plain(config.run.algo.name()));
+        arms.push(Arm::plain(config.run.algo));
     }
     let arms = cross(arms, &args.over);
     ensure!(
@@ -79,13 +80,6 @@ fn arms(args: &Args) -> Result<Vec<Arm>> {
         );
     }
     Ok(arms)
-}
-
-/// The settings of all arms: `--set`, then the flags that stand for settings.
-fn overrides(args: &Args) -> Vec<String> {
-    let number = |key: &str, value: Option<u64>| value.map(|v| format!("run.{key}={v}"));
-    let flags = number("episodes", args.episodes).into_iter().chain(number("env_steps", args.env_steps));
-    args.source.sets.iter().cloned().chain(flags).collect()
 }
 
 /// A line an arm on standard output.

@@ -1,6 +1,6 @@
 //! `trestle train`
 
-use crate::cli::{Algo, Mode, Train};
+use crate::cli::Train;
 use crate::prepare::{self, Existing};
 use crate::reference;
 use crate::status::INTERRUPTED;
@@ -16,7 +16,7 @@ use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
-    let config = config::load(&args.source.config, &overrides(args))?;
+    let config = config::load_with(&args.source.config, &args.source.sets, |config| args.apply(config))?;
     let root = args.out.clone().unwrap_or_else(|| default_out(&args.source.config, &config));
     let existing = match (args.resume, args.overwrite) {
         (true, _) => Existing::Resume,
@@ -61,26 +61,6 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
             Ok(ExitCode::from(INTERRUPTED))
         }
     }
-}
-
-/// The flags that stand for settings, after what `--set` says.
-fn overrides(args: &Train) -> Vec<String> {
-    let mut sets = args.source.sets.clone();
-    let algo = args.algo.map(Algo::name);
-    let mode = args.mode.map(|mode| match mode {
-        Mode::Lockstep => "lockstep",
-        Mode::Free => "free",
-        Mode::Reference => "reference",
-    });
-    let text = |key: &str, value: Option<&str>| value.map(|v| format!("run.{key}={v:?}"));
-    let number = |key: &str, value: Option<u64>| value.map(|v| format!("run.{key}={v}"));
-    sets.extend(text("algo", algo));
-    sets.extend(text("mode", mode));
-    sets.extend(number("seed", args.seed));
-    sets.extend(number("episodes", args.episodes));
-    sets.extend(number("env_steps", args.env_steps));
-    sets.extend(number("actors", args.actors.map(u64::from)));
-    sets
 }
 
 /// `runs/<config>-<algo>-seed<N>`

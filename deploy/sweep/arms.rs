@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
+use trestle_proto::config::Algo;
 
 /// Arms of a sweep, at most.
 pub(crate) const MAX_ARMS: usize = 256;
@@ -19,8 +20,8 @@ pub(crate) struct Arm {
 
 impl Arm {
     /// An algorithm as it is.
-    pub(crate) fn plain(algo: &str) -> Self {
-        Self { name: algo.into(), sets: vec![format!("run.algo={algo:?}")] }
+    pub(crate) fn plain(algo: Algo) -> Self {
+        Self { name: algo.name().into(), sets: vec![format!("run.algo={:?}", algo.name())] }
     }
 }
 

@@ -11,6 +11,7 @@ pub(crate) mod over;
 mod progress;
 pub(crate) mod seeds;
 
+use crate::flags::Limits;
 use crate::prepare::{Existing, Resolved, resolve, resolve_run};
 use crate::supervise::display::Display;
 use crate::supervise::{Ended, Signals, supervise};
@@ -79,17 +80,27 @@ pub(crate) struct Swept {
     pub(crate) interrupted: bool,
 }
 
-/// The configuration of `arm` and `seed`: `sets` for all arms, then the arm's own, then the seed.
-pub(crate) fn configuration(source: &str, sets: &[String], arm: &arms::Arm, seed: u64) -> Result<Config> {
-    let sets: Vec<String> =
-        sets.iter().chain(&arm.sets).cloned().chain([format!("run.seed={seed}")]).collect();
-    config::load(source, &sets).with_context(|| format!("arm {}", arm.name))
+/// The configuration of `arm` and `seed`: `sets` for all arms, then the arm's own, then limits and seed.
+pub(crate) fn configuration(
+    source: &str,
+    sets: &[String],
+    limits: Limits,
+    arm: &arms::Arm,
+    seed: u64,
+) -> Result<Config> {
+    let sets: Vec<String> = sets.iter().chain(&arm.sets).cloned().collect();
+    let flags = |config: &mut Config| {
+        limits.apply(config);
+        config.run.seed = seed;
+    };
+    config::load_with(source, &sets, flags).with_context(|| format!("arm {}", arm.name))
 }
 
 /// The jobs of `arms` and `seeds` in `out`, arm by arm.
 pub(crate) fn jobs(
     source: &str,
     sets: &[String],
+    limits: Limits,
     arms: &[arms::Arm],
     seeds: &[u64],
     out: &Path,
@@ -97,7 +108,7 @@ pub(crate) fn jobs(
     let mut jobs = Vec::with_capacity(arms.len() * seeds.len());
     for (number, arm) in arms.iter().enumerate() {
         for &seed in seeds {
-            let config = configuration(source, sets, arm, seed)?;
+            let config = configuration(source, sets, limits, arm, seed)?;
             jobs.push(Job { arm: number, seed, dir: run_dir(out, &arm.name, seed), config });
         }
     }
@@ -324,8 +335,8 @@ mod tests {
 
     #[test]
     fn the_first_seeds_of_all_arms_come_first() {
-        let arms = ["dqn", "diiqn"].map(arms::Arm::plain);
-        let jobs = jobs("maze-small", &[], &arms, &[7, 3], Path::new("out")).unwrap();
+        let arms = [config::Algo::Dqn, config::Algo::Diiqn].map(arms::Arm::plain);
+        let jobs = jobs("maze-small", &[], Limits::default(), &arms, &[7, 3], Path::new("out")).unwrap();
         let order: Vec<_> =
             by_seed(&jobs).into_iter().map(|at| (jobs[at].dir.clone(), jobs[at].seed)).collect();
         let expected = [("dqn", 7), ("diiqn", 7), ("dqn", 3), ("diiqn", 3)];
@@ -348,10 +359,12 @@ mod tests {
     #[test]
     fn an_arms_settings_come_after_those_of_all() {
         let arm: arms::Arm = "x:learner.lr=0.5".parse().unwrap();
-        let config = configuration("maze-small", &["learner.lr=0.1".into()], &arm, 4).unwrap();
+        let config =
+            configuration("maze-small", &["learner.lr=0.1".into()], Limits::default(), &arm, 4).unwrap();
         assert_eq!((config.learner.lr, config.run.seed), (0.5, 4));
         let wrong: arms::Arm = "x:learner.rate=0.5".parse().unwrap();
-        let error = format!("{:#}", configuration("maze-small", &[], &wrong, 4).unwrap_err());
+        let error =
+            format!("{:#}", configuration("maze-small", &[], Limits::default(), &wrong, 4).unwrap_err());
         assert!(error.contains("arm x") && error.contains("learner.rate"), "{error}");
     }
 }

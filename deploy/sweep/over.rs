@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn every_arm_meets_every_combination() {
-        let arms = vec![Arm::plain("dqn"), "x:learner.lr=1e-3".parse().unwrap()];
+        let arms = vec![Arm::plain(trestle_proto::config::Algo::Dqn), "x:learner.lr=1e-3".parse().unwrap()];
         assert_eq!(cross(arms.clone(), &[]), arms);
         let over = ["env.map=random:1:9x9,maps/a.txt", "learner.hidden=[8,8],[16]"];
         let over: Vec<Over> = over.iter().map(|text| text.parse().unwrap()).collect();

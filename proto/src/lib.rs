@@ -11,6 +11,7 @@ pub mod config;
 pub mod limits;
 pub mod logging;
 pub mod mentor;
+pub mod names;
 pub mod observe;
 pub mod orders;
 pub mod plan;

@@ -1,15 +1,16 @@
 //! `mentor.demo`: one demonstration, or several with a name each.
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{self, Deserializer, MapAccess, Visitor};
-use serde::{Deserialize, Serialize, Serializer};
+use super::{ConfigError, Field, Value, refuse};
+use crate::limits::MAX_MENTORS;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
-use std::fmt;
 
 /// The source that plans a path instead of reading a file.
 pub const PLAN: &str = "plan";
 /// The name of a demonstration that is given without one.
 pub const ONLY: &str = "mentor";
+/// Letters of a demonstration's name, at most.
+const MAX_NAME: usize = 40;
 
 /// Where the demonstrations come from: sources ([`PLAN`], or a CSV file) by name, in the order of the names.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,29 +59,54 @@ impl Serialize for Demos {
 }
 
 impl<'de> Deserialize<'de> for Demos {
+    /// From a plan; a configuration is read by [`Field::read`].
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        if deserializer.is_human_readable() {
-            deserializer.deserialize_any(Words)
-        } else {
-            Ok(Self(BTreeMap::deserialize(deserializer)?))
-        }
+        Ok(Self(BTreeMap::deserialize(deserializer)?))
     }
 }
 
-struct Words;
-
-impl<'de> Visitor<'de> for Words {
-    type Value = Demos;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("\"plan\", a CSV file, or a table of several by name, such as { expert = \"a.csv\", novice = \"b.csv\" }")
+impl Field for Demos {
+    fn kind() -> String {
+        "text, or table of texts".into()
     }
 
-    fn visit_str<E: de::Error>(self, source: &str) -> Result<Demos, E> {
-        Ok(Demos::one(source))
+    fn accepted() -> String {
+        format!("`plan`, a CSV file, or a table of up to {MAX_MENTORS} of these by name")
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Demos, A::Error> {
-        Ok(Demos(BTreeMap::deserialize(MapAccessDeserializer::new(map))?))
+    fn read(value: Value, key: &str, accepted: &str) -> Result<Self, ConfigError> {
+        match value {
+            Value::String(source) => Ok(Self::one(source)),
+            Value::Table(sources) => {
+                let source = |(name, source)| match source {
+                    Value::String(source) => Ok((name, source)),
+                    other => Err(refuse(&format!("{key}.{name}"), other, "`plan` or a CSV file")),
+                };
+                sources.into_iter().map(source).collect::<Result<_, _>>().map(Self)
+            }
+            other => Err(refuse(key, other, accepted)),
+        }
+    }
+
+    fn check(&self, key: &str) -> Result<(), ConfigError> {
+        let count = self.iter().len();
+        if !(1..=MAX_MENTORS).contains(&count) {
+            return Err(refuse(
+                key,
+                format!("{count} demonstrations"),
+                &format!("1 to {MAX_MENTORS} of them"),
+            ));
+        }
+        for (name, source) in self.iter() {
+            let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+            if !(1..=MAX_NAME).contains(&name.len()) || !name.chars().all(plain) {
+                let accepted = format!("names of 1 to {MAX_NAME} letters, digits, - and _");
+                return Err(refuse(key, format!("{{ {name:?} = ... }}"), &accepted));
+            }
+            if source.is_empty() {
+                return Err(refuse(key, "\"\"", "`plan` or a CSV file"));
+            }
+        }
+        Ok(())
     }
 }

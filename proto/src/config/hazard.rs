@@ -1,67 +1,51 @@
 //! `[env.hazard]`: an environment that fails on purpose, to see how a run stands it.
 
-use serde::{Deserialize, Serialize};
+use super::accepts::any;
+use crate::{choices, settings};
 
-/// `[env.hazard]`
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Hazard {
-    /// How the environment fails.
-    pub kind: HazardKind,
-    /// Environment steps that each actor's process takes without harm, counted from its start; every step after them
-    /// fails. 1 or more; 0 only where there is no hazard.
-    pub after: u64,
-    /// Which of an actor's environments fail. The steps of these are counted, and no others.
-    pub during: HazardScope,
-}
-
-/// How an environment fails.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum HazardKind {
-    /// It does not.
-    #[default]
-    None,
-    /// The process ends by SIGABRT.
-    Abort,
-    /// The step panics.
-    Panic,
-    /// The step is refused with an error.
-    Error,
-    /// The step never returns; its thread sleeps.
-    Stall,
-    /// The step gives NaN as its reward.
-    NanReward,
-    /// The step gives NaN as the last feature of the state reached.
-    NanState,
-}
-
-impl HazardKind {
-    /// Its name in configurations.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Abort => "abort",
-            Self::Panic => "panic",
-            Self::Error => "error",
-            Self::Stall => "stall",
-            Self::NanReward => "nan-reward",
-            Self::NanState => "nan-state",
-        }
+settings! {
+    /// `[env.hazard]`
+    #[derive(Copy)]
+    pub struct Hazard {
+        /// How the environment fails. Only `none` with `mode = "reference"`, and no `stall` with `supervise.stall_s = 0`.
+        kind: HazardKind = HazardKind::None;
+        /// Environment steps that each actor's process takes without harm, counted from its start. Every later step fails.
+        after: u64 = 0, any("1 or more; 0 with `kind = \"none\"`");
+        /// Which of an actor's environments fail. Only their steps are counted.
+        during: HazardScope = HazardScope::Both;
     }
 }
 
-/// What an environment that fails is used for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum HazardScope {
-    /// Training and greedy evaluations, whose steps are counted together.
-    #[default]
-    Both,
-    /// Training alone.
-    Training,
-    /// Greedy evaluations alone, which actor 0 plays.
-    Evaluation,
+choices! {
+    /// How an environment fails.
+    pub enum HazardKind {
+        /// It does not.
+        None = "none",
+        /// The process ends by SIGABRT.
+        Abort = "abort",
+        /// The step panics.
+        Panic = "panic",
+        /// The step is refused with an error.
+        Error = "error",
+        /// The step never returns; its thread sleeps.
+        Stall = "stall",
+        /// The step gives NaN as its reward.
+        NanReward = "nan-reward",
+        /// The step gives NaN as the last feature of the state reached.
+        NanState = "nan-state",
+    }
+}
+
+choices! {
+    /// What an environment that fails is used for.
+    pub enum HazardScope {
+        /// Training and greedy evaluations, whose steps are counted together.
+        Both = "both",
+        /// Training alone.
+        Training = "training",
+        /// Greedy evaluations alone, which actor 0 plays.
+        Evaluation = "evaluation",
+    }
 }
 
 #[cfg(test)]
@@ -115,10 +99,17 @@ mod tests {
                 .starts_with("env.hazard.kind = stall; accepted: another one with supervise.stall_s = 0")
         );
         assert!(
-            refused(&["env.hazard.kind=sleep"])
-                .contains("unknown variant `sleep`, expected one of `none`, `abort`")
+            refused(&["env.hazard.kind=stal"])
+                .starts_with("env.hazard.kind = stal; accepted: none, abort, panic, error, stall,")
         );
-        assert!(refused(&["env.hazard.when=5"]).contains("unknown field `when`"));
-        assert!(refused(&["env.hazard.after=-1"]).starts_with("env.hazard.after: "));
+        assert!(refused(&["env.hazard.kind=stal"]).ends_with("; did you mean `stall`?"));
+        assert_eq!(
+            refused(&["env.hazard.when=5"]),
+            "env.hazard.when: there is no such setting; accepted in [env.hazard]: kind, after, during"
+        );
+        assert_eq!(
+            refused(&["env.hazard.after=-1"]),
+            "env.hazard.after = -1; accepted: 1 or more; 0 with `kind = \"none\"`"
+        );
     }
 }

@@ -1,98 +1,82 @@
 //! From a preset or a file and overrides to a checked [`Config`].
 
-use super::Config;
+use super::error::{unknown_key, unknown_source};
+use super::{Config, ConfigError, Field};
 use crate::limits::MAX_TEXT_BYTES;
+use crate::names;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use toml::{Table, Value};
 
-/// The presets that are compiled in: name and TOML text.
-pub const PRESETS: [(&str, &str); 5] = [
-    ("maze30", include_str!("../../presets/maze30.toml")),
-    ("maze30-tuned", include_str!("../../presets/maze30-tuned.toml")),
-    ("maze-small", include_str!("../../presets/maze-small.toml")),
-    ("point-maze", include_str!("../../presets/point-maze.toml")),
-    ("point-umaze", include_str!("../../presets/point-umaze.toml")),
-];
-
-/// A configuration that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// Neither a preset nor a file.
-    #[error("`{name}` is neither a preset nor a file; presets: {presets}", presets = preset_names())]
-    Unknown {
-        /// What was asked for.
-        name: String,
-    },
-    /// A file that cannot be read.
-    #[error("cannot read {path}: {message}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        message: String,
-    },
-    /// Not TOML.
-    #[error("{origin} is not valid TOML: {message}")]
-    Syntax {
-        /// File, preset or override.
-        origin: String,
-        /// The parser's words, with line and column.
-        message: String,
-    },
-    /// An override that is not `key=value`.
-    #[error("--set {text}: accepted: key=value with a dotted key, such as learner.lr=0.001")]
-    Override {
-        /// As typed.
-        text: String,
-    },
-    /// An unknown key or a value of the wrong type.
-    #[error("{key}: {message}")]
-    Key {
-        /// Dotted key.
-        key: String,
-        /// What is wrong, and what is accepted.
-        message: String,
-    },
-    /// A value out of range.
-    #[error("{key} = {value}; accepted: {accepted}")]
-    Value {
-        /// Dotted key.
-        key: String,
-        /// Its value.
-        value: String,
-        /// What is accepted.
-        accepted: String,
-    },
+/// A configuration that is compiled in.
+#[derive(Clone, Copy, Debug)]
+pub struct Preset {
+    /// Its name.
+    pub name: &'static str,
+    /// TOML. It begins with a comment, whose first line says what the preset is.
+    pub text: &'static str,
 }
 
-fn preset_names() -> String {
-    PRESETS.map(|(name, _)| name).join(", ")
+impl Preset {
+    /// What it is, in one line.
+    pub fn about(&self) -> &'static str {
+        self.text.lines().next().unwrap_or_default().trim_start_matches('#').trim()
+    }
+}
+
+/// The presets that are compiled in.
+pub const PRESETS: [Preset; 5] = [
+    Preset { name: "maze-small", text: include_str!("../../presets/maze-small.toml") },
+    Preset { name: "maze30", text: include_str!("../../presets/maze30.toml") },
+    Preset { name: "maze30-tuned", text: include_str!("../../presets/maze30-tuned.toml") },
+    Preset { name: "point-umaze", text: include_str!("../../presets/point-umaze.toml") },
+    Preset { name: "point-maze", text: include_str!("../../presets/point-maze.toml") },
+];
+
+/// Names of all presets.
+pub(super) fn preset_names() -> Vec<String> {
+    PRESETS.iter().map(|preset| preset.name.into()).collect()
 }
 
 /// The configuration called `name` (a preset, or a TOML file) with `overrides` (`key=value`, dotted keys, the later
-/// one wins). Ranges are checked; what needs the environment (maps, demonstrations) is not looked at.
+/// one wins). Everything is checked but what needs the environment (maps, demonstrations).
+///
+/// # Errors
+/// What cannot be read, is not a setting, or is not accepted.
 pub fn load(name: &str, overrides: &[String]) -> Result<Config, ConfigError> {
+    load_with(name, overrides, |_| {})
+}
+
+/// The same with `flags`: what the command line says beyond the overrides, which wins over them.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with(
+    name: &str,
+    overrides: &[String],
+    flags: impl FnOnce(&mut Config),
+) -> Result<Config, ConfigError> {
     let mut table = read(name)?;
     // Presets, too, may have one; none refers to itself.
     while let Some(base) = table.remove("base") {
-        let base = base.as_str().ok_or_else(|| ConfigError::Key {
-            key: "base".into(),
-            message: format!("expected the name of a preset; presets: {}", preset_names()),
-        })?;
-        let mut merged = preset(base).ok_or_else(|| ConfigError::Unknown { name: base.into() })??;
+        let base = base.as_str().map_or_else(|| base.to_string(), String::from);
+        let mut merged = preset(&base).ok_or_else(|| unknown_base(&base))??;
         merge(&mut merged, table);
         table = merged;
     }
     for text in overrides {
         set(&mut table, text)?;
     }
-    let config = decode(table)?;
+    let mut config = decode(table)?;
+    flags(&mut config);
     config.validate()?;
     Ok(config)
 }
 
 /// The configuration written in `text`, which must be complete in itself; `origin` names it in messages.
+///
+/// # Errors
+/// As [`load`].
 pub fn parse_toml(origin: &str, text: &str) -> Result<Config, ConfigError> {
     let config = decode(parse(origin, text)?)?;
     config.validate()?;
@@ -105,9 +89,21 @@ pub fn to_toml(config: &Config) -> String {
     toml::to_string_pretty(config).unwrap_or_else(|e| format!("# not representable: {e}\n"))
 }
 
+fn unknown_base(name: &str) -> ConfigError {
+    let presets = preset_names();
+    let hint = names::hint(name, presets.iter().map(String::as_str));
+    super::refuse("base", name, &format!("a preset: {}{hint}", presets.join(", ")))
+}
+
+/// Refuses the key `name` in `table`, whose settings are `known`.
+pub(super) fn unknown(table: &str, name: &str, known: &[&str]) -> ConfigError {
+    let all: Vec<String> = Config::declared("").into_iter().map(|setting| setting.key).collect();
+    unknown_key(table, name, known, &all)
+}
+
 fn preset(name: &str) -> Option<Result<Table, ConfigError>> {
-    let (_, text) = PRESETS.iter().find(|(known, _)| *known == name)?;
-    Some(parse(&format!("preset {name}"), text))
+    let preset = PRESETS.iter().find(|preset| preset.name == name)?;
+    Some(parse(&format!("preset {name}"), preset.text))
 }
 
 fn read(name: &str) -> Result<Table, ConfigError> {
@@ -117,7 +113,7 @@ fn read(name: &str) -> Result<Table, ConfigError> {
     let path = Path::new(name);
     let fault = |message: String| ConfigError::Read { path: path.into(), message };
     let meta = fs::metadata(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => ConfigError::Unknown { name: name.into() },
+        std::io::ErrorKind::NotFound => unknown_source(name),
         _ => fault(e.to_string()),
     })?;
     if !meta.is_file() {
@@ -136,10 +132,7 @@ fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
 }
 
 fn decode(table: Table) -> Result<Config, ConfigError> {
-    serde_path_to_error::deserialize(Value::Table(table)).map_err(|e| ConfigError::Key {
-        key: e.path().to_string(),
-        message: e.into_inner().to_string().trim().replace('\n', " "),
-    })
+    Config::read(Value::Table(table), "", "")
 }
 
 /// Lays `over` upon `table`, table by table.
@@ -161,9 +154,9 @@ fn set(table: &mut Table, text: &str) -> Result<(), ConfigError> {
     let mut at = table;
     for part in parts {
         let inner = at.entry(part).or_insert_with(|| Value::Table(Table::new()));
-        at = inner.as_table_mut().ok_or_else(|| ConfigError::Key {
-            key: key.trim().into(),
-            message: format!("`{part}` is a value and has no keys below it"),
+        let shown = super::setting::in_words(inner);
+        at = inner.as_table_mut().ok_or_else(|| {
+            super::refuse(key.trim(), value.trim(), &format!("no key below `{part}`, whose value is {shown}"))
         })?;
     }
     at.insert(last.into(), scalar(value.trim()));
@@ -194,8 +187,9 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_survive_toml() {
-        for (name, _) in PRESETS {
-            let config = load(name, &[]).unwrap();
+        for preset in PRESETS {
+            assert!(preset.text.starts_with("# ") && preset.about().ends_with('.'), "{}", preset.name);
+            let config = load(preset.name, &[]).unwrap();
             let again = parse_toml("again", &to_toml(&config)).unwrap();
             assert_eq!(again, config);
         }
@@ -230,11 +224,17 @@ mod tests {
         let bytes = crate::codec::encode(kind, &config).unwrap();
         assert_eq!(crate::codec::decode::<Config>(kind, &bytes).unwrap(), config);
 
-        assert!(refused(&["mentor.e_th=automatic"]).contains("expected a number above 0, or \"auto\""));
-        assert_eq!(refused(&["mentor.e_th=0"]), "mentor.e_th = 0; accepted: a number above 0, or auto");
-        assert!(refused(&["mentor.e_infeas=nan"]).starts_with("mentor.e_infeas = NaN"));
-        assert!(refused(&["mentor.demo=[\"a.csv\"]"]).contains("a table of several by name"));
-        assert!(refused(&["mentor.demo={}"]).contains("1 to 64 demonstrations"));
+        assert_eq!(
+            refused(&["mentor.e_th=aut"]),
+            "mentor.e_th = aut; accepted: a number above 0, or auto; did you mean `auto`?"
+        );
+        assert_eq!(refused(&["mentor.e_th=0"]), "mentor.e_th = 0.0; accepted: a number above 0, or auto");
+        assert!(refused(&["mentor.e_infeas=nan"]).starts_with("mentor.e_infeas = nan"));
+        assert!(refused(&["mentor.demo=[\"a.csv\"]"]).contains("a table of up to 64 of these by name"));
+        assert!(
+            refused(&["mentor.demo={ a = 1 }"]).starts_with("mentor.demo.a = 1; accepted: `plan` or a CSV")
+        );
+        assert!(refused(&["mentor.demo={}"]).contains("1 to 64 of them"));
         assert!(refused(&["mentor.demo={ \"a/b\" = \"x.csv\" }"]).contains("names of 1 to 40 letters"));
         assert!(refused(&["mentor.demo={ a = \"\" }"]).contains("`plan` or a CSV file"));
     }
@@ -243,29 +243,82 @@ mod tests {
     fn refusals_name_key_value_and_what_is_accepted() {
         assert_eq!(refused(&["learner.gamma=1.5"]), "learner.gamma = 1.5; accepted: 0 to 1");
         assert_eq!(refused(&["run.actors=0"]), "run.actors = 0; accepted: 1 to 64");
-        assert!(refused(&["learner.gama=0.9"]).contains("unknown field `gama`, expected one of"));
-        assert!(refused(&["learner.batch=many"]).starts_with("learner.batch: "));
-        assert!(refused(&["run.algo=sarsa"]).contains("ha-diiqn"));
+        assert_eq!(
+            refused(&["learner.gama=0.9"]),
+            "learner.gama: there is no such setting; did you mean `learner.gamma`?"
+        );
+        assert!(refused(&["gamma=0.9"]).ends_with("did you mean `learner.gamma`?"));
+        assert!(refused(&["run.gamma=0.9"]).ends_with("did you mean `learner.gamma`?"));
+        assert!(refused(&["lerner.gamma=0.9"]).ends_with("did you mean `learner`?"));
+        assert!(refused(&["nonsense=1"]).ends_with(
+            "tables: run, env, exploration, learner, mentor, shaping, eval, checkpoint, supervise"
+        ));
+        assert!(
+            refused(&["checkpoint.often=1"]).ends_with("accepted in [checkpoint]: every_env_steps, keep")
+        );
+        assert_eq!(refused(&["learner.batch=many"]), "learner.batch = many; accepted: 1 to 1024");
+        assert_eq!(refused(&["learner.batch=-1"]), "learner.batch = -1; accepted: 1 to 1024");
+        assert_eq!(refused(&["learner=1"]), "learner = 1; accepted: a table of settings");
+        assert_eq!(
+            refused(&["run.seed=9223372036854775808"]),
+            "run.seed = 9223372036854775808; accepted: 0 to 2^63 - 1"
+        );
+        assert_eq!(
+            refused(&["run.algo=ha-diqn"]),
+            "run.algo = ha-diqn; accepted: dqn, diiqn, ha-diiqn; did you mean `ha-diiqn`?"
+        );
         assert!(refused(&["learner"]).contains("key=value"));
-        assert!(refused(&["learner.lr.x=1"]).contains("`lr` is a value"));
+        assert!(refused(&["learner.lr.x=1"]).contains("no key below `lr`, whose value is 0.0005"));
+        assert!(refused(&["learner.adam_eps.x=1"]).ends_with("accepted: a number above 0"));
+        let long = format!("learner.hidden={:?}", vec![0; 1000]);
+        assert!(refused(&[&long]).len() < 300);
         assert_eq!(
             refused(&["env.point_maze.magnitudes=[0.5, 2]"]),
-            "env.point_maze.magnitudes = 2; accepted: numbers above 0, up to 1"
+            "env.point_maze.magnitudes = [0.5, 2.0]; accepted: 1 to 8 different numbers above 0, up to 1"
         );
-        assert!(refused(&["env.point_maze.magnitudes=[]"]).ends_with("accepted: 1 to 8 numbers"));
-        assert!(refused(&["env.point_maze.magnitudes=[1.0, 1.0]"]).ends_with("accepted: each number once"));
+        assert!(refused(&["env.point_maze.magnitudes=[]"]).contains("1 to 8 different numbers"));
+        assert!(refused(&["env.point_maze.magnitudes=[1.0, 1.0]"]).contains("1 to 8 different numbers"));
         assert!(refused(&["env.point_maze.frame_skip=0"]).ends_with("accepted: 1 to 100"));
-        assert!(refused(&["env.point_maze.backend=rapier"]).contains("`mujoco`"));
+        assert!(refused(&["env.point_maze.backend=rapier"]).ends_with("accepted: auto, mujoco, builtin"));
         let short = ["env.kind=point-maze", "eval.threshold=-0.6", "eval.tolerance=0", "env.step_limit=600"];
         assert!(refused(&short).contains("above -0.600: else an episode that never reaches the goal"));
         assert!(refused(&["learner.lr=nan"]).contains("above 0"));
         assert!(refused(&["eval.tolerance=nan"]).contains("0 or more"));
+        let unknown = |name| load(name, &[]).unwrap_err().to_string();
         assert!(
-            load("no-such", &[])
-                .unwrap_err()
-                .to_string()
-                .contains("presets: maze30, maze30-tuned, maze-small, point-maze, point-umaze")
+            unknown("no-such")
+                .ends_with("presets: maze-small, maze30, maze30-tuned, point-umaze, point-maze")
         );
+        assert!(unknown("maze31").ends_with("; did you mean `maze30`?"));
+    }
+
+    #[test]
+    fn flags_win_over_overrides_and_are_checked_as_they_are() {
+        let seed = |seed| load_with("maze30", &["run.seed=1".into()], |config| config.run.seed = seed);
+        assert_eq!(seed(7).unwrap().run.seed, 7);
+        let error = seed(u64::MAX).unwrap_err().to_string();
+        assert_eq!(error, "run.seed = 18446744073709551615; accepted: 0 to 2^63 - 1");
+        let endless = load_with("maze30", &[], |config| config.run.episodes = Some(u64::MAX));
+        assert!(
+            endless.unwrap_err().to_string().starts_with("run.episodes = 18446744073709551615; accepted")
+        );
+    }
+
+    #[test]
+    fn every_setting_is_declared_with_its_default() {
+        let all = Config::declared("");
+        assert!(all.iter().all(|s| !s.help.is_empty() && !s.accepted.is_empty() && !s.kind.is_empty()));
+        // The table of defaults has each of them, but for those that are not set.
+        let written: Table = to_toml(&Config::default()).parse().unwrap();
+        for setting in all {
+            let found = setting
+                .key
+                .split('.')
+                .try_fold(&Value::Table(written.clone()), |at, key| at.get(key))
+                .cloned();
+            let found = found.map_or_else(|| "none".into(), |value| value.to_string());
+            assert_eq!(found, setting.default, "{}", setting.key);
+        }
     }
 
     #[test]

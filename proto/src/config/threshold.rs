@@ -1,8 +1,9 @@
 //! A threshold on the KL divergence: a number, or `auto`, which becomes a number when the configuration meets its
 //! demonstration.
 
-use serde::de::{self, Deserializer, Visitor};
-use serde::{Deserialize, Serialize, Serializer};
+use super::{ConfigError, Field, Value, refuse};
+use crate::names;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
 const AUTO: &str = "auto";
@@ -35,10 +36,28 @@ impl fmt::Display for Threshold {
     }
 }
 
+impl Field for Threshold {
+    fn kind() -> String {
+        "number, or auto".into()
+    }
+
+    fn read(value: Value, key: &str, accepted: &str) -> Result<Self, ConfigError> {
+        match &value {
+            Value::Float(kl) => Ok(Self::Kl(*kl)),
+            Value::Integer(kl) => Ok(Self::Kl(*kl as f64)),
+            Value::String(text) if text == AUTO => Ok(Self::Auto),
+            Value::String(text) => {
+                Err(refuse(key, text, &format!("{accepted}{}", names::hint(text, [AUTO]))))
+            }
+            other => Err(refuse(key, other, accepted)),
+        }
+    }
+}
+
 impl Serialize for Threshold {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            // A format without types on its own, such as a plan's, gets a form that it can read back.
+            // A plan, whose format has no types of its own, gets a form that can be read back. Nothing else is read by serde.
             _ if !serializer.is_human_readable() => self.known().serialize(serializer),
             Self::Auto => serializer.serialize_str(AUTO),
             Self::Kl(kl) => serializer.serialize_f64(*kl),
@@ -48,39 +67,6 @@ impl Serialize for Threshold {
 
 impl<'de> Deserialize<'de> for Threshold {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        if !deserializer.is_human_readable() {
-            return Ok(Option::deserialize(deserializer)?.map_or(Self::Auto, Self::Kl));
-        }
-        deserializer.deserialize_any(Words)
-    }
-}
-
-struct Words;
-
-impl Visitor<'_> for Words {
-    type Value = Threshold;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number above 0, or \"auto\"")
-    }
-
-    fn visit_f64<E: de::Error>(self, kl: f64) -> Result<Threshold, E> {
-        Ok(Threshold::Kl(kl))
-    }
-
-    fn visit_i64<E: de::Error>(self, kl: i64) -> Result<Threshold, E> {
-        Ok(Threshold::Kl(kl as f64))
-    }
-
-    fn visit_u64<E: de::Error>(self, kl: u64) -> Result<Threshold, E> {
-        Ok(Threshold::Kl(kl as f64))
-    }
-
-    fn visit_str<E: de::Error>(self, text: &str) -> Result<Threshold, E> {
-        if text == AUTO {
-            Ok(Threshold::Auto)
-        } else {
-            Err(E::invalid_value(de::Unexpected::Str(text), &self))
-        }
+        Ok(Option::deserialize(deserializer)?.map_or(Self::Auto, Self::Kl))
     }
 }

@@ -1,0 +1,114 @@
+//! Rules over several settings, which no setting's own declaration can state.
+
+use super::accepts::{at_least, between};
+use super::{Config, ConfigError, DrawKind, EnvKind, Field, HazardKind, Mode, SelectionKind, refuse};
+use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
+
+impl Config {
+    /// Checks every setting, and every combination of settings.
+    ///
+    /// # Errors
+    /// The first setting that is not accepted, with what is.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.check("")?;
+        self.check_limits()?;
+        self.check_streaming()?;
+        self.check_threshold()?;
+        self.check_hazard()?;
+        self.check_learner()?;
+        self.check_mentor()
+    }
+
+    /// A run ends at some time.
+    fn check_limits(&self) -> Result<(), ConfigError> {
+        if self.run.episodes.is_none() && self.run.env_steps.is_none() {
+            let accepted = "a number of episodes, or run.env_steps instead";
+            return Err(refuse("run.episodes", "not given", accepted));
+        }
+        Ok(())
+    }
+
+    /// `lag` is lockstep's, `ahead` is free mode's.
+    fn check_streaming(&self) -> Result<(), ConfigError> {
+        let run = &self.run;
+        if run.mode != Mode::Free {
+            return require(run.ahead == 0, "run.ahead", run.ahead, "0 without run.mode = free");
+        }
+        let accepted = "0 with run.mode = free, whose actors never wait for a tick";
+        require(run.lag == 0, "run.lag", run.lag, accepted)?;
+        let least = u64::from(run.actors) * u64::from(run.rollout);
+        let most = least * TRANSITIONS_BUFFER as u64;
+        let accepted = format!("{least} (run.actors * run.rollout) to {most}, or 0 for twice {least}");
+        require(run.ahead == 0 || (least..=most).contains(&run.ahead), "run.ahead", run.ahead, &accepted)
+    }
+
+    /// No episode that is cut off may count as solved.
+    fn check_threshold(&self) -> Result<(), ConfigError> {
+        let (env, eval) = (&self.env, &self.eval);
+        match eval.threshold {
+            // Every step costs 0.001, and an episode that is cut off has cost step_limit of them.
+            Some(threshold)
+                if env.kind == EnvKind::PointMaze
+                    && threshold - eval.tolerance <= -0.001 * f64::from(env.step_limit) =>
+            {
+                let accepted = format!(
+                    "with eval.tolerance = {} and env.step_limit = {}, above {:.3}: else an episode that never reaches \
+                     the goal would count as solved",
+                    eval.tolerance,
+                    env.step_limit,
+                    eval.tolerance - 0.001 * f64::from(env.step_limit)
+                );
+                Err(refuse("eval.threshold", threshold, &accepted))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A process that fails on purpose is started again, and its failure is noticed.
+    fn check_hazard(&self) -> Result<(), ConfigError> {
+        let hazard = &self.env.hazard;
+        let refused = |accepted| Err(refuse("env.hazard.kind", hazard.kind, accepted));
+        match hazard.kind {
+            HazardKind::None => return Ok(()),
+            _ if self.run.mode == Mode::Reference => {
+                return refused("none with run.mode = reference, which has nobody to start it again");
+            }
+            HazardKind::Stall if self.supervise.stall_s == 0 => {
+                return refused("another one with supervise.stall_s = 0, as nobody would ever notice");
+            }
+            _ => {}
+        }
+        let accepted = format!("1 or more with env.hazard.kind = {}", hazard.kind);
+        require(hazard.after > 0, "env.hazard.after", hazard.after, &accepted)
+    }
+
+    /// A gradient step finds as many transitions as it samples.
+    fn check_learner(&self) -> Result<(), ConfigError> {
+        let learner = &self.learner;
+        let warm = at_least(learner.batch as u64).test(&learner.warmup);
+        require(warm, "learner.warmup", learner.warmup, "learner.batch or more")?;
+        let holds = between(learner.batch, MAX_REPLAY).test(&learner.replay);
+        let accepted = format!("learner.batch to {MAX_REPLAY}");
+        require(holds, "learner.replay", learner.replay, &accepted)
+    }
+
+    fn check_mentor(&self) -> Result<(), ConfigError> {
+        let (mentor, algo, potential) = (&self.mentor, self.run.algo, self.shaping.potential);
+        // Its past values belong to a stored pair of transitions.
+        let paired = mentor.draw == DrawKind::Similar || mentor.selection != SelectionKind::MinDistance;
+        require(paired, "mentor.draw", mentor.draw, "`similar` with mentor.selection = min-distance")?;
+        // The mentor's losses know unshaped rewards only: the two would disagree about every value.
+        let accepted = format!("0 with run.algo = {algo}");
+        require(!(self.shaped() && algo.has_mentor()), "shaping.potential", potential, &accepted)
+    }
+}
+
+/// Refuses the setting `key` with its `value` unless `condition` holds.
+fn require(
+    condition: bool,
+    key: &str,
+    value: impl std::fmt::Display,
+    accepted: &str,
+) -> Result<(), ConfigError> {
+    if condition { Ok(()) } else { Err(refuse(key, value, accepted)) }
+}

@@ -1,0 +1,103 @@
+//! `[exploration]` and `[learner]`: ε-greedy exploration; replay, network and gradient steps.
+
+use super::accepts::{above, above_up_to, at_least, below, between, list};
+use crate::limits::{MAX_REPLAY, MAX_SIZES, MAX_WIDTH};
+use crate::{choices, settings};
+
+settings! {
+    /// `[exploration]`
+    pub struct Exploration {
+        /// ε at the first step.
+        epsilon_start: f64 = 1.0, between(0.0, 1.0);
+        /// ε from `epsilon_decay_steps` on.
+        epsilon_end: f64 = 0.05, between(0.0, 1.0);
+        /// Environment steps of all actors over which ε falls linearly.
+        epsilon_decay_steps: u64 = 50_000;
+        /// Actor i of N acts with ε to the power of 1 + `epsilon_spread` i / (N - 1). 0: all with the same ε. Horgan et al.
+        /// (2018, "Distributed Prioritized Experience Replay") have 7.
+        epsilon_spread: f64 = 0.0, between(0.0, 100.0);
+        /// Guided exploration, which the paper does not have: the share of the exploring steps, at the first step, that take the
+        /// action known for the nearest similar mentor state. Without effect for `dqn`.
+        guide_start: f64 = 0.0, between(0.0, 1.0);
+        /// That share from `guide_decay_steps` on.
+        guide_end: f64 = 0.0, between(0.0, 1.0);
+        /// Environment steps of all actors over which that share falls linearly.
+        guide_decay_steps: u64 = 50_000;
+    }
+}
+
+/// Hidden layers at most: input and output are sizes of the network, too.
+const MAX_HIDDEN: usize = MAX_SIZES - 2;
+
+settings! {
+    /// `[learner]`
+    pub struct Learner {
+        /// Units of each hidden layer.
+        hidden: Vec<usize> = vec![128, 128], list(1..=MAX_HIDDEN, between(1, MAX_WIDTH))
+            .in_words(format!("1 to {MAX_HIDDEN} layers of 1 to {MAX_WIDTH} units"));
+        /// Discount γ.
+        gamma: f64 = 0.99, between(0.0, 1.0);
+        /// Adam's learning rate.
+        lr: f64 = 5e-4, above(0.0);
+        /// Adam's decay of the first moment.
+        adam_beta1: f64 = 0.9, below(0.0, 1.0);
+        /// Adam's decay of the second moment.
+        adam_beta2: f64 = 0.999, below(0.0, 1.0);
+        /// Adam's ε.
+        adam_eps: f64 = 1e-8, above(0.0);
+        /// Largest norm of the whole gradient. 0: no clipping.
+        max_grad_norm: f64 = 0.0, at_least(0.0);
+        /// Samples of a gradient step.
+        batch: usize = 32, between(1, 1024);
+        /// Environment steps before gradient steps are counted.
+        warmup: u64 = 1_000, at_least(1).in_words("learner.batch or more");
+        /// Environment steps for each gradient step.
+        train_every: u64 = 4, at_least(1);
+        /// Transitions that the replay holds.
+        replay: usize = 100_000, between(1, MAX_REPLAY).in_words(format!("learner.batch to {MAX_REPLAY}"));
+        /// How the target network follows.
+        target: TargetKind = TargetKind::Polyak;
+        /// With `target = "hard"`: gradient steps between copies.
+        target_every: u64 = 1_000, at_least(1);
+        /// With `target = "polyak"`: share of the online weights that each gradient step mixes in.
+        tau: f64 = 0.005, above_up_to(0.0, 1.0);
+        /// Double DQN: the online network chooses the next action, and the target network values it.
+        double: bool = true;
+        /// The loss of a sample.
+        loss: LossKind = LossKind::Huber;
+        /// With `loss = "huber"`: error at which it turns from quadratic to linear.
+        huber_delta: f64 = 1.0, above(0.0);
+        /// What computes the gradient.
+        backend: Backend = Backend::Kernels;
+    }
+}
+
+choices! {
+    /// How the target network follows the online network.
+    pub enum TargetKind {
+        /// A copy every `target_every` gradient steps.
+        Hard = "hard",
+        /// θ- <- (1 - τ) θ- + τ θ after every gradient step.
+        Polyak = "polyak",
+    }
+}
+
+choices! {
+    /// The loss of a sample, of its error e = target - Q.
+    pub enum LossKind {
+        /// Quadratic near 0, linear beyond `huber_delta`.
+        Huber = "huber",
+        /// e^2, as the paper writes it.
+        Squared = "squared",
+    }
+}
+
+choices! {
+    /// What computes the gradient.
+    pub enum Backend {
+        /// Trestle's own kernels.
+        Kernels = "kernels",
+        /// candle's automatic differentiation: slower, for comparison.
+        Candle = "candle",
+    }
+}

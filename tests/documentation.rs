@@ -1,0 +1,98 @@
+//! The tables of docs/configuration.md are those of the settings' declarations.
+//!
+//! `TRESTLE_WRITE_DOCS=1 cargo test --test integration documentation` writes them anew.
+
+use crate::util::{Place, trestle};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::fs;
+use trestle_proto::config::{Config, Field, Setting};
+
+const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/configuration.md");
+/// What stands before a table, with the key of the settings' table, and after it.
+const BEGIN: &str = "<!-- settings of ";
+const END: &str = "<!-- end of settings -->\n";
+
+/// Settings as rows of a table.
+fn rows<'a>(settings: impl Iterator<Item = &'a Setting>) -> String {
+    let mut text = "\n| key | default | accepted | meaning |\n|---|---|---|---|\n".to_string();
+    for setting in settings {
+        let meanings = setting.choices.iter().fold(String::new(), |text, (word, meaning)| {
+            format!("{text}<br>`{word}`: {}", meaning.strip_suffix('.').unwrap_or(meaning))
+        });
+        let cells = [
+            format!("`{}`", setting.name()),
+            match setting.default.as_str() {
+                "none" => "none".into(),
+                default => format!("`{default}`"),
+            },
+            setting.accepted.clone(),
+            format!("{}{meanings}", setting.help),
+        ];
+        let cells = cells.map(|cell| cell.replace('|', "\\|"));
+        writeln!(text, "| {} |", cells.join(" | ")).unwrap();
+    }
+    text + "\n"
+}
+
+#[test]
+fn every_setting_is_documented_as_it_is_declared() {
+    let settings = Config::declared("");
+    let text = fs::read_to_string(PATH).unwrap();
+    let mut parts = text.split(BEGIN);
+    let mut written = parts.next().unwrap().to_string();
+    let mut tables = BTreeSet::new();
+    for part in parts {
+        let (table, rest) = part.split_once(" -->\n").unwrap();
+        let (_, after) = rest.split_once(END).unwrap();
+        let of_table = settings.iter().filter(|setting| setting.table() == table);
+        assert!(of_table.clone().next().is_some() && tables.insert(table), "{table}");
+        write!(written, "{BEGIN}{table} -->\n{}{END}{after}", rows(of_table)).unwrap();
+    }
+    let missing: Vec<_> = settings.iter().filter(|setting| !tables.contains(setting.table())).collect();
+    assert!(missing.is_empty(), "no table for {missing:?}");
+    if std::env::var_os("TRESTLE_WRITE_DOCS").is_some() {
+        return fs::write(PATH, &written).unwrap();
+    }
+    assert!(written == text, "docs/configuration.md is out of date: see the head of tests/documentation.rs");
+}
+
+#[test]
+fn settings_are_listed_and_found() {
+    let _place = Place::new();
+    let all = trestle(&["config", "list"]).ok().stdout;
+    assert!(Config::declared("").iter().all(|setting| all.contains(&format!("{}: ", setting.key))), "{all}");
+    let one = trestle(&["config", "list", "run.mode"]).ok().stdout;
+    assert!(
+        one.starts_with("run.mode: choice, default \"lockstep\", accepted: lockstep, free, reference\n"),
+        "{one}"
+    );
+    assert!(
+        one.contains("    reference: The same algorithm in one process") && !one.contains("run.actors"),
+        "{one}"
+    );
+    let table = trestle(&["config", "list", "eval"]).ok().stdout;
+    assert!(table.contains("eval.tolerance: number, default 0.5, accepted: 0 or more\n"), "{table}");
+    trestle(&["config", "list", "lerner"]).refused(&["lerner", "did you mean `learner`?"]);
+    trestle(&["config", "list", "gamma"]).refused(&["gamma", "did you mean `learner.gamma`?"]);
+}
+
+#[test]
+fn help_names_presets_defaults_and_choices() {
+    let _place = Place::new();
+    let help = trestle(&["train", "--help"]).ok().stdout;
+    for words in
+        ["maze-small    A 12 x 12 maze", "[run.seed, default 0]", "dqn:", "Deep Q-network, no mentor"]
+    {
+        assert!(help.contains(words), "{words}: {help}");
+    }
+    for (args, near) in [
+        (["train", "maze-small", "--algo", "ha-diqn"], "ha-diiqn"),
+        (["train", "maze-small", "--mode", "lock-step"], "lockstep"),
+        (["train", "mazesmall", "--algo", "dqn"], "maze-small"),
+        (["train", "maze-small", "--set", "lerner.lr=1"], "learner"),
+        (["train", "maze-small", "--set", "env.encoding=onehot"], "one-hot"),
+    ] {
+        trestle(&args).refused(&[&format!("did you mean `{near}`?")]);
+    }
+}
