@@ -3,9 +3,9 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
+use trestle_algorithm::replay::Replay;
 use trestle_bench::gradient::GradientStep;
 use trestle_bench::server::{BATCH, DIM, Server};
-use trestle_learner::replay::Replay;
 use trestle_proto::rng::{Purpose, stream};
 use trestle_qnet::{Kernels, Layout, Workspace, forward, init};
 

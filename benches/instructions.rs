@@ -5,11 +5,11 @@
 use anyhow::{Context, Result, bail};
 use trestle_actor::env;
 use trestle_actor::worker::Worker;
+use trestle_algorithm::agent::Agent;
+use trestle_algorithm::demonstration::Demonstration;
+use trestle_algorithm::replay::Replay;
 use trestle_bench::gradient::GradientStep;
 use trestle_bench::server::{BATCH, DIM, Server};
-use trestle_learner::agent::Agent;
-use trestle_learner::replay::Replay;
-use trestle_mentor_server::demonstration::Demonstration;
 use trestle_mentor_server::run::mentor_of;
 use trestle_proto::batch::Batch;
 use trestle_proto::config;
@@ -87,7 +87,7 @@ fn ticks(times: u64) -> Result<()> {
         worker.collect(agent.acting(), &tick, &mut batch)?;
         mentor.observe(env_steps, 0, &batch, &mut observed)?;
         agent.ingest(&batch, Some(&observed))?;
-        agent.train()?;
+        agent.train(|| ())?;
     }
     Ok(())
 }

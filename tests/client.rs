@@ -8,10 +8,10 @@ use std::process::{Child, Command, Stdio, exit};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
+use trestle_link::LinkError;
+use trestle_link::iceoryx::{Domain, QueryClient};
 use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::LinkError;
-use trestle_proto::transport::iceoryx::{Domain, QueryClient};
 
 /// A run's directory, for the process that is to be a client.
 const RUN: &str = "TRESTLE_TEST_CLIENT";

@@ -8,8 +8,8 @@ use nix::sys::signal::Signal;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, symlink};
 use std::path::{Path, PathBuf};
+use trestle_link::iceoryx::{Domain, QueryClient};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::iceoryx::{Domain, QueryClient};
 
 fn args(seed: &str) -> Vec<&str> {
     vec!["maze-small", "--env-steps", "6000", "--seed", seed]

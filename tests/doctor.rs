@@ -3,7 +3,7 @@
 use crate::util::{Place, evaluations, start, trestle};
 use nix::sys::signal::Signal;
 use std::fs;
-use trestle_proto::transport::iceoryx::Domain;
+use trestle_link::iceoryx::Domain;
 
 /// A process id that no process has: the largest that Linux gives out is 2^22 - 1.
 const NOBODY: u32 = 1 << 22;

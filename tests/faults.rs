@@ -9,12 +9,12 @@ use crate::util::{
 use nix::sys::signal::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
+use trestle_link::ActorLink;
+use trestle_link::iceoryx::{Domain, IceoryxActor, QueryClient};
 use trestle_proto::batch::{Batch, BatchHeader, Transition};
 use trestle_proto::config::Mode;
 use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::ActorLink;
-use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, QueryClient};
 
 /// Two actors, and checkpoints on the way.
 const ARGS: [&str; 9] = [

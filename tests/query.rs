@@ -5,13 +5,13 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
+use trestle_link::LinkError;
+use trestle_link::iceoryx::QueryClient;
 use trestle_proto::annotation::{AnnotationTable, record_words};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{ANNOTATIONS, BRIDGE, QueryRequest, SIMILAR, STATS, Stats, TRANSITIONS};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::LinkError;
-use trestle_proto::transport::iceoryx::QueryClient;
 
 const ENDLESS: [&str; 5] = ["maze-small", "--env-steps", "1000000000", "--episodes", "1000000000"];
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "60000", "--seed", "9"];

@@ -8,7 +8,7 @@ use std::fs::{self, DirBuilder, File};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use trestle_proto::transport::iceoryx::Domain;
+use trestle_link::iceoryx::Domain;
 
 /// Where shared memory lies.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";

@@ -19,10 +19,10 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 use trestle_learner::checkpoint;
+use trestle_link::iceoryx::Domain;
 use trestle_proto::config::Mode;
 use trestle_proto::rng::mix;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::iceoryx::Domain;
 
 /// What is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -15,9 +15,9 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use trestle_link::iceoryx::Domain;
 use trestle_proto::rng::mix;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::iceoryx::Domain;
 use util::{Place, Process, counted, evaluations, process, processes, result, send, start, wait_until};
 
 /// Transitions that the replay holds: full before the first half begins.

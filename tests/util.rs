@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
+use trestle_link::iceoryx::Domain;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::iceoryx::Domain;
 
 /// The program under test.
 pub(crate) const TRESTLE: &str = env!("CARGO_BIN_EXE_trestle");

@@ -5,10 +5,10 @@
 //! published with the weights: a table with one entry for each mentor transition, the action that the mentor's loss of
 //! it would use, or -1.
 
+use trestle_algorithm::similarity::metric::{Metric, MetricError};
+use trestle_algorithm::similarity::{Hit, Similarity};
 use trestle_proto::NONE;
 use trestle_proto::plan::RunPlan;
-use trestle_proto::similarity::metric::{Metric, MetricError};
-use trestle_proto::similarity::{Hit, Similarity};
 
 /// The mentor's states, indexed as the mentor-server does it.
 pub struct Guide {

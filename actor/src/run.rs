@@ -1,13 +1,13 @@
 //! The loop of an actor's process: wait for a tick, do what it says, answer.
 
 use crate::worker::{ActorError, Worker};
+use trestle_link::{ActorLink, LinkError, Stop};
+use trestle_link::{logging, pulse};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply, ReplyHeader};
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
-use trestle_proto::transport::{ActorLink, LinkError, Stop};
-use trestle_proto::{logging, pulse};
 
 /// What ends an actor's process before the learner says so.
 #[derive(Debug, thiserror::Error)]

@@ -4,14 +4,14 @@
 use crate::run::RunError;
 use crate::worker::Worker;
 use std::time::{Duration, Instant};
+use trestle_link::pulse;
+use trestle_link::{ActorLink, LinkError, Stop};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec;
 use trestle_proto::limits::{HANDSHAKE, WAIT_SLICE};
 use trestle_proto::orders::Orders;
-use trestle_proto::pulse;
 use trestle_proto::reply::{EVALUATION, EVALUATION_KIND, JOINED, Reply, ReplyHeader};
 use trestle_proto::tick::{COLLECT, EVALUATE, Tick};
-use trestle_proto::transport::{ActorLink, LinkError, Stop};
 
 /// Streams batches of `rollout` steps of run `run` to the learner at the other end of `link`, until `stop` says so. That
 /// there is no learner for a while is no error.

@@ -16,14 +16,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 use trestle_bench::walk::World;
+use trestle_link::iceoryx::{Domain, IceoryxLearner, Services};
+use trestle_link::{FromActor, LearnerLink};
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 use trestle_proto::tick::{COLLECT, Tick};
-use trestle_proto::transport::iceoryx::{Domain, IceoryxLearner, Services};
-use trestle_proto::transport::{FromActor, LearnerLink};
 use trestle_proto::weights::WeightsHeader;
 
 /// Mentor transitions of the plan: they only say how large an answer may get.

@@ -1,7 +1,7 @@
 //! A network with a batch of samples, and one gradient step of DQN or DIIQN on it.
 
 use anyhow::Result;
-use trestle_learner::losses::{Distances, min_distance};
+use trestle_algorithm::losses::{Distances, min_distance};
 use trestle_proto::rng::{Purpose, mix, stream};
 use trestle_qnet::{
     Adam, AdamConfig, AlignedBuffer, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, backward,

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::Child;
 use std::thread;
 use std::time::Duration;
-use trestle_learner::replay::bytes_per_transition;
+use trestle_algorithm::replay::bytes_per_transition;
 
 const ALGOS: [&str; 2] = ["dqn", "ha-diiqn"];
 const REPLAY: usize = 100_000;

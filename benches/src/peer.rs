@@ -9,6 +9,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use trestle_bench::walk::{Walk, World};
+use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
+use trestle_link::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::limits::WAIT_SLICE;
@@ -17,8 +19,6 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, UNKNOWN_OP};
 use trestle_proto::rundir::RunDir;
 use trestle_proto::tick::Tick;
-use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
-use trestle_proto::transport::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::weights::WeightsHeader;
 
 /// Serves a benchmark until its process is gone. `args`: the role, the directory with the plan, the actor's index, and

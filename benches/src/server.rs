@@ -2,7 +2,7 @@
 
 use crate::walk::{Walk, World};
 use anyhow::Result;
-use trestle_mentor_server::mentor::Mentor;
+use trestle_algorithm::mentor::Mentor;
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::config::{self, Algo};
 use trestle_proto::observe::Observed;

@@ -7,7 +7,7 @@
 //! of their cell, each time anew, and no state is ever seen twice.
 
 use anyhow::Result;
-use trestle_mentor_server::demonstration::Demonstration;
+use trestle_algorithm::demonstration::Demonstration;
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, TRUNCATED, Transition};
 use trestle_proto::rng::mix;
 use trestle_proto::space::EnvSpec;

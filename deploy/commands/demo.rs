@@ -10,8 +10,8 @@ use crate::prepare::{self, Resolved};
 use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;
+use trestle_algorithm::demonstration::Demonstration;
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::demonstration::Demonstration;
 use trestle_proto::config::{self, Algo, Config, Demos, PLAN};
 
 pub(super) fn run(args: &Demo) -> Result<ExitCode> {

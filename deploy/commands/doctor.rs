@@ -7,7 +7,7 @@ use nix::sys::statvfs::statvfs;
 use std::fs;
 use std::process::ExitCode;
 use trestle_actor::env::point_maze::mujoco::{self, MujocoError};
-use trestle_proto::transport::iceoryx::Domain;
+use trestle_link::iceoryx::Domain;
 
 /// Shared memory below which a run of the usual size may not fit, bytes.
 const LITTLE_SHARED_MEMORY: u64 = 64 << 20;

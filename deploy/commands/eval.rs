@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use trestle_actor::env::draw;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
-use trestle_proto::logging;
+use trestle_link::logging;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::tick::{EVALUATE, Tick};
 

@@ -18,14 +18,14 @@ use trestle_actor::run::Left;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
+use trestle_link::LinkError;
+use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxLearner, IceoryxMentor};
+use trestle_link::{logging, pulse};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::Mode;
 use trestle_proto::limits::BEAT;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::LinkError;
-use trestle_proto::transport::iceoryx::{Domain, IceoryxActor, IceoryxLearner, IceoryxMentor};
-use trestle_proto::{logging, pulse};
 
 /// What every role begins with.
 struct Start {

@@ -11,8 +11,8 @@ use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
 use anyhow::{Context, Result, bail, ensure};
 use std::process::ExitCode;
 use trestle_learner::record::RunResult;
+use trestle_link::logging;
 use trestle_proto::config::Mode;
-use trestle_proto::logging;
 use trestle_report::stats::median;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {

@@ -10,8 +10,8 @@ use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trestle_learner::record::RunResult;
+use trestle_link::logging;
 use trestle_proto::config::{self, Config};
-use trestle_proto::logging;
 use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {

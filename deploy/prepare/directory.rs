@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
+use trestle_link::iceoryx::Domain;
+use trestle_link::iceoryx::services::Sizes;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
-use trestle_proto::transport::iceoryx::Domain;
-use trestle_proto::transport::iceoryx::services::Sizes;
 
 /// What to do with a directory that exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,15 +3,15 @@
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
 use std::path::{Path, PathBuf};
+use trestle_algorithm::demonstration::Demonstration;
+use trestle_algorithm::similarity::metric::Metric;
+use trestle_algorithm::summary::{Summary, summarise};
+use trestle_link::iceoryx::services::Sizes;
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::demonstration::Demonstration;
-use trestle_mentor_server::summary::{Summary, summarise};
 use trestle_proto::config::{self, Config, Demos, PLAN, PhysicsBackend, Threshold};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::similarity::metric::Metric;
 use trestle_proto::space::EnvSpec;
-use trestle_proto::transport::iceoryx::services::Sizes;
 
 /// A configuration that has met its environment and its demonstration: a run could start with it.
 #[derive(Clone, Debug)]

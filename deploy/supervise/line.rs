@@ -3,8 +3,8 @@
 
 use std::io::Read;
 use std::os::unix::net::UnixStream;
+use trestle_link::pulse;
 use trestle_proto::config::Supervise;
-use trestle_proto::pulse;
 
 /// What is wrong with a process that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

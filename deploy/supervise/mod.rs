@@ -29,9 +29,9 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 use trestle_learner::record::{Progress, RunResult};
+use trestle_link::iceoryx::{Domain, Services};
 use trestle_proto::config::Mode;
 use trestle_proto::limits::{BEAT, BLAME, GRACE, HANDSHAKE, REAP, RESTART_BACKOFF, SETTLE};
-use trestle_proto::transport::iceoryx::{Domain, Services};
 
 /// How a run ended.
 pub(crate) enum Ended {

@@ -6,16 +6,16 @@ use crate::record::RunResult;
 use crate::run::{RunError, rebuild_mentor, request};
 use crate::session::Session;
 use std::time::{Duration, Instant};
+use trestle_link::pulse;
+use trestle_link::{FromActor, LearnerLink, LinkError, Stop};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec;
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::observe::{OBSERVE, Observed};
 use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::RunPlan;
-use trestle_proto::pulse;
 use trestle_proto::query::{NOT_READY, status_text};
 use trestle_proto::reply::{EVALUATION, EVALUATION_KIND, Evaluation, JOINED, Reply};
-use trestle_proto::transport::{FromActor, LearnerLink, LinkError, Stop};
 
 /// Trains `session` to its end over `link`, whose mentor-server is ready, or until `stop` says so.
 ///
@@ -349,11 +349,11 @@ mod tests {
     use super::*;
     use crate::testing::{World, plan};
     use std::thread;
+    use trestle_link::ActorLink;
+    use trestle_link::local::{self, LocalActor};
     use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
     use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
     use trestle_proto::rundir::RunDir;
-    use trestle_proto::transport::ActorLink;
-    use trestle_proto::transport::local::{self, LocalActor};
 
     const ROLLOUT: u32 = 4;
 

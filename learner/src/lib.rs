@@ -1,14 +1,12 @@
-//! Replay, losses, gradient schedule, checkpoints and the process that learns.
+//! The process that learns: it feeds [`trestle_algorithm::agent::Agent`], and keeps records and checkpoints.
 
-pub mod agent;
 pub mod checkpoint;
 mod free;
-pub mod losses;
 pub mod record;
-pub mod replay;
 pub mod run;
 pub mod session;
-pub mod shaping;
 
+// The run that the algorithm's own tests are about.
 #[cfg(test)]
+#[path = "../../algorithm/src/testing.rs"]
 mod testing;

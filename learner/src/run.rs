@@ -12,6 +12,8 @@ use crate::free;
 use crate::record::{Progress, RunResult};
 use crate::session::{Resumed, Session, SessionError};
 use std::time::Instant;
+use trestle_link::{FromActor, LearnerLink, LinkError, Stop};
+use trestle_link::{logging, pulse};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
@@ -23,8 +25,6 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryRequest, TRANSITIONS};
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::transport::{FromActor, LearnerLink, LinkError, Stop};
-use trestle_proto::{logging, pulse};
 
 /// What ends the learner's process early.
 #[derive(Debug, thiserror::Error)]

@@ -4,16 +4,16 @@
 //!
 //! Every decision depends on counts alone; the clock only paces what people look at.
 
-use crate::agent::{Agent, AgentError, TrainStats};
 use crate::checkpoint::{self, CheckpointError, Cut, Saver};
 use crate::record::{
-    ActorRow, Counters, Episode, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY,
-    Progress, RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors,
-    write_mentor,
+    ActorRow, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
+    RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors, write_mentor,
 };
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::time::{Duration, Instant};
+use trestle_algorithm::agent::{Agent, AgentError, Counters, Episode, TrainStats};
+use trestle_link::pulse;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::Mode;
@@ -275,7 +275,7 @@ impl<'a> Session<'a> {
     /// Takes the gradient steps that the transitions of tick `number` make due, and decides whether an evaluation is.
     pub fn train(&mut self, number: u64) -> Result<(), SessionError> {
         self.saver.poll()?;
-        self.stats.merge(&self.agent.train()?);
+        self.stats.merge(&self.agent.train(pulse::step)?);
         self.tick = number;
         let now = self.agent.counters();
         let every = self.plan.config.eval.every;

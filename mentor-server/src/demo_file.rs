@@ -20,12 +20,12 @@
 //! 1,0,5,6
 //! ```
 
-use crate::demonstration::{Demonstration, DemonstrationError};
 use csv::{ReaderBuilder, StringRecord};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
+use trestle_algorithm::demonstration::{Demonstration, DemonstrationError};
 use trestle_proto::limits::MAX_MENTOR_TRANSITIONS;
 use trestle_proto::rundir::{Durable, write_atomically};
 

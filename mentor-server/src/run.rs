@@ -1,8 +1,10 @@
 //! The loop of the mentor-server's process: take requests, answer them, until told to leave.
 
-use crate::bridge::search::MAX_LOOKS;
-use crate::demonstration::Demonstration;
-use crate::mentor::{Mentor, MentorError};
+use trestle_algorithm::bridge::search::MAX_LOOKS;
+use trestle_algorithm::demonstration::Demonstration;
+use trestle_algorithm::mentor::{Mentor, MentorError};
+use trestle_link::{LinkError, MentorHandler, MentorLink, Stop};
+use trestle_link::{logging, pulse};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
@@ -12,8 +14,6 @@ use trestle_proto::query::{
     ANNOTATIONS, BRIDGE, MALFORMED, OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS, TRANSITIONS,
     UNKNOWN_OP,
 };
-use trestle_proto::transport::{LinkError, MentorHandler, MentorLink, Stop};
-use trestle_proto::{logging, pulse};
 
 /// The mentor of `plan`'s run, of its demonstration.
 ///

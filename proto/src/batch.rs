@@ -11,8 +11,8 @@
 //! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`] |
 
 use crate::limits::MAX_ROLLOUT;
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// The episode ended in a terminal state: its value is 0.
 pub const TERMINATED: u32 = 1;
@@ -29,8 +29,7 @@ pub const fn words(count: usize, obs_dim: usize) -> usize {
 
 /// What is sent beside a batch's payload.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.BatchHeader.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct BatchHeader {
     /// Identity of the run: batches of another run are refused.
     pub run: u64,
@@ -48,6 +47,10 @@ pub struct BatchHeader {
     pub count: u32,
     /// Features of an observation.
     pub obs_dim: u32,
+}
+
+impl Message for BatchHeader {
+    const TYPE_NAME: &'static str = "trestle.BatchHeader.v1";
 }
 
 /// A batch whose header, size or contents cannot be right.

@@ -1,31 +1,27 @@
-//! What Trestle's processes agree on, and nothing else: the messages and their layout in shared memory, the
-//! services and their limits, the resolved configuration, the run directory, the framing of files, the
-//! random streams, and the distance of states.
+//! What Trestle's processes agree on, as plain data: the experiment (configuration, plan, spaces, limits, schedules,
+//! random streams), the messages with their layout and validation, the run directory, and the framing of files.
 //!
-//! This crate depends on no other member of the workspace.
+//! Nothing here sends, waits or starts anything, and this crate depends on no other member of the workspace.
 
 pub mod annotation;
 pub mod batch;
 pub mod codec;
 pub mod config;
 pub mod limits;
-pub mod logging;
 pub mod mentor;
+pub mod message;
 pub mod names;
 pub mod observe;
 pub mod orders;
 pub mod plan;
-pub mod pulse;
 pub mod query;
 pub mod regular_file;
 pub mod reply;
 pub mod rng;
 pub mod rundir;
 pub mod schedule;
-pub mod similarity;
 pub mod space;
 pub mod tick;
-pub mod transport;
 pub mod waypoints;
 pub mod weights;
 

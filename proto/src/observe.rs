@@ -7,8 +7,8 @@
 
 use crate::NONE;
 use crate::annotation::record_words;
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// Take the transitions in, infer actions, look for bridges, and answer with mentor indices.
 pub const OBSERVE: u32 = 1;
@@ -20,8 +20,7 @@ pub const RESTORE: u32 = 3;
 
 /// What is sent beside a request.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.ObserveRequest.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ObserveRequest {
     /// Identity of the run.
     pub run: u64,
@@ -39,10 +38,13 @@ pub struct ObserveRequest {
     pub obs_dim: u32,
 }
 
+impl Message for ObserveRequest {
+    const TYPE_NAME: &'static str = "trestle.ObserveRequest.v1";
+}
+
 /// What is sent beside an answer.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.ObserveAnswer.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ObserveAnswer {
     /// The request's `first_index`.
     pub first_index: u64,
@@ -54,6 +56,10 @@ pub struct ObserveAnswer {
     pub changed: u32,
     /// Searches for bridges that met their limit.
     pub cut_short: u32,
+}
+
+impl Message for ObserveAnswer {
+    const TYPE_NAME: &'static str = "trestle.ObserveAnswer.v1";
 }
 
 /// An answer that cannot be right.

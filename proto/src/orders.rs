@@ -2,13 +2,12 @@
 //! wanted of it. Only the newest orders count, so an actor that comes late, or was replaced, misses nothing.
 
 use crate::limits::{MAX_ACTORS, MAX_ROLLOUT};
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// What one actor may do.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.Share.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Share {
     /// Batches of this incarnation that the learner has counted: what is acknowledged.
     pub counted: u64,
@@ -20,10 +19,13 @@ pub struct Share {
     pub reserved: u32,
 }
 
+impl Message for Share {
+    const TYPE_NAME: &'static str = "trestle.Share.v1";
+}
+
 /// Orders as they travel, the same to every actor; plain numbers only, so that no bit pattern is invalid.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.Orders.v2")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Orders {
     /// Identity of the run.
     pub run: u64,
@@ -44,6 +46,10 @@ pub struct Orders {
     pub reserved: u32,
     /// Each actor's share, by its index.
     pub shares: [Share; MAX_ACTORS as usize],
+}
+
+impl Message for Orders {
+    const TYPE_NAME: &'static str = "trestle.Orders.v2";
 }
 
 impl Default for Orders {

@@ -8,8 +8,8 @@
 //! | [`TRANSITIONS`] | `first`, `count` | mentor transitions ([`crate::mentor`]) |
 //! | [`STATS`] | nothing | [`Stats`] |
 
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// Mentor states similar to a state.
 pub const SIMILAR: u32 = 1;
@@ -40,8 +40,7 @@ pub const NOT_READY: u32 = 5;
 
 /// What is sent beside a request.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.QueryRequest.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct QueryRequest {
     /// Identity of the run.
     pub run: u64,
@@ -55,15 +54,22 @@ pub struct QueryRequest {
     pub obs_dim: u32,
 }
 
+impl Message for QueryRequest {
+    const TYPE_NAME: &'static str = "trestle.QueryRequest.v1";
+}
+
 /// What is sent beside an answer.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.QueryAnswer.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct QueryAnswer {
     /// A position in [`STATUS`].
     pub status: u32,
     /// Rows in the payload.
     pub count: u32,
+}
+
+impl Message for QueryAnswer {
+    const TYPE_NAME: &'static str = "trestle.QueryAnswer.v1";
 }
 
 /// Counters of the mentor-server, as the words of a [`STATS`] answer.

@@ -4,7 +4,7 @@
 //! many terabytes. Every reader of such a path opens it here, and says how many bytes it accepts at the most. Then
 //! nothing hangs, and memory stays bounded, whatever is there.
 
-use nix::fcntl::OFlag;
+use libc::{O_NOCTTY, O_NONBLOCK};
 use std::fmt;
 use std::fs::{self, File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
@@ -117,7 +117,7 @@ pub fn open(path: &Path, limit: u64) -> Result<File, FileError> {
     // Looked at before it is opened, because to open a device can have effects, and to open a socket fails.
     accept(&fs::metadata(path).map_err(io)?)?;
     // The standard library adds O_CLOEXEC.
-    let flags = (OFlag::O_NONBLOCK | OFlag::O_NOCTTY).bits();
+    let flags = O_NONBLOCK | O_NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path).map_err(io)?;
     // The path may lead elsewhere by now.
     accept(&file.metadata().map_err(io)?)?;

@@ -3,8 +3,8 @@
 //! The payload is a [`crate::codec`] frame of [`Evaluation`] or of bytes that only the actor understands.
 
 use crate::codec::Kind;
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
-use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
 /// The payload is an [`Evaluation`], in a frame of [`EVALUATION_KIND`].
@@ -19,8 +19,7 @@ pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 1 };
 
 /// What is sent beside a reply.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.ReplyHeader.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ReplyHeader {
     /// Identity of the run.
     pub run: u64,
@@ -30,6 +29,10 @@ pub struct ReplyHeader {
     pub actor: u32,
     /// One of the constants of this module.
     pub kind: u32,
+}
+
+impl Message for ReplyHeader {
+    const TYPE_NAME: &'static str = "trestle.ReplyHeader.v1";
 }
 
 /// A reply in private memory.

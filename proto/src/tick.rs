@@ -1,13 +1,12 @@
 //! A tick: what the learner asks of the actors.
 
 use crate::limits::MAX_ROLLOUT;
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// A tick as it travels, the same to every actor; plain numbers only, so that no bit pattern is invalid.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.Tick.v1")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Tick {
     /// Identity of the run.
     pub run: u64,
@@ -23,6 +22,10 @@ pub struct Tick {
     pub kind: u32,
     /// Steps to take (kind [`COLLECT`]) or greedy episodes to play (kind [`EVALUATE`]).
     pub amount: u32,
+}
+
+impl Message for Tick {
+    const TYPE_NAME: &'static str = "trestle.Tick.v1";
 }
 
 /// Every actor steps its environment `amount` times and sends one batch.

@@ -3,13 +3,12 @@
 //! The payload is, layer by layer, the weights \[in\]\[out\] row-major and then the bias \[out\], all `f32`.
 
 use crate::limits::MAX_SIZES;
+use crate::message::Message;
 use bytemuck::{Pod, Zeroable, cast_slice};
-use iceoryx2::prelude::ZeroCopySend;
 
 /// What is sent beside the weights.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[type_name("trestle.WeightsHeader.v2")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct WeightsHeader {
     /// Identity of the run.
     pub run: u64,
@@ -25,6 +24,10 @@ pub struct WeightsHeader {
     pub n_sizes: u32,
     /// Units of the input, of each hidden layer and of the output.
     pub sizes: [u32; MAX_SIZES],
+}
+
+impl Message for WeightsHeader {
+    const TYPE_NAME: &'static str = "trestle.WeightsHeader.v2";
 }
 
 /// Weights that cannot be used.

@@ -6,12 +6,12 @@ use crate::cli::Inspect;
 use anyhow::{Context, Result};
 use std::fs;
 use trestle_actor::env::draw;
+use trestle_algorithm::demonstration::Demonstration;
+use trestle_algorithm::similarity::metric::Metric;
+use trestle_algorithm::summary::summarise;
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::demonstration::Demonstration;
-use trestle_mentor_server::summary::summarise;
 use trestle_proto::config::{self, CovarianceKind, Demos, EnvKind, Mentor};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::similarity::metric::Metric;
 
 pub(super) fn run(args: &Inspect) -> Result<()> {
     if let Some(svg) = &args.svg {

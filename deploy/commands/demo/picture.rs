@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use std::fmt::Write;
 use std::ops::Range;
-use trestle_mentor_server::demonstration::Demonstration;
+use trestle_algorithm::demonstration::Demonstration;
 
 /// Characters of a picture in a terminal; one is about twice as high as wide.
 const COLUMNS: usize = 64;

@@ -4,10 +4,10 @@ use super::{free, report};
 use crate::cli::Record;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::worker::Worker;
+use trestle_algorithm::demonstration::Demonstration;
 use trestle_learner::checkpoint;
+use trestle_link::logging;
 use trestle_mentor_server::demo_file;
-use trestle_mentor_server::demonstration::Demonstration;
-use trestle_proto::logging;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::tick::{EVALUATE, Tick};
 

@@ -1,8 +1,8 @@
 //! What can be wrong with a checkpoint, each with the file that it is wrong with.
 
-use crate::agent::AgentError;
 use std::io;
 use std::path::{Path, PathBuf};
+use trestle_algorithm::agent::AgentError;
 
 /// A checkpoint that cannot be written or used.
 #[derive(Debug, thiserror::Error)]

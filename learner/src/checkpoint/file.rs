@@ -5,7 +5,7 @@ use super::manifest::FileEntry;
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::Path;
-use trestle_proto::pulse;
+use trestle_link::pulse;
 
 /// Bytes between two signs of progress of a writer.
 const PIECE: usize = 1 << 20;

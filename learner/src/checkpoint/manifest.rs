@@ -2,13 +2,13 @@
 
 use super::error::{CheckpointError, contents, io};
 use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST};
-use crate::record::Counters;
-use crate::replay::Span;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
+use trestle_algorithm::agent::Counters;
+use trestle_algorithm::replay::Span;
 use trestle_proto::config::Mode;
 use trestle_proto::plan::RunPlan;
 

@@ -3,12 +3,12 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::agent::Agent;
-use crate::replay::Span;
 use crate::testing::{World, demonstration, plan};
 use proptest::prelude::*;
 use std::fs;
 use tempfile::TempDir;
+use trestle_algorithm::agent::Agent;
+use trestle_algorithm::replay::Span;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::LAST_LINK;
 
@@ -19,7 +19,7 @@ fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {
             let (batch, observed) = world.batch(actor, 5);
             agent.ingest(&batch, observed.as_ref()).unwrap();
         }
-        agent.train().unwrap();
+        agent.train(|| ()).unwrap();
     }
 }
 
@@ -46,7 +46,9 @@ fn save(saver: &mut Saver, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<(
 }
 
 /// Everything of an agent that decides what it does next.
-fn everything(agent: &Agent) -> (String, crate::agent::AgentState, trestle_qnet::Adam, Vec<u32>, Vec<u8>) {
+fn everything(
+    agent: &Agent,
+) -> (String, trestle_algorithm::agent::AgentState, trestle_qnet::Adam, Vec<u32>, Vec<u8>) {
     let mut replay = Vec::new();
     replay.extend(agent.replay().head());
     for (span, _) in agent.replay().segments(&[]) {
@@ -94,7 +96,7 @@ proptest! {
                 let ingested = agent.ingest(&batch, observed.as_ref()).unwrap();
                 prop_assert_eq!(ingested, again.ingest(&batch, observed.as_ref()).unwrap());
             }
-            prop_assert_eq!(agent.train().unwrap(), again.train().unwrap());
+            prop_assert_eq!(agent.train(|| ()).unwrap(), again.train(|| ()).unwrap());
         }
         prop_assert!(everything(&again) == everything(&agent));
         let model = load_model(&dir, agent.network().layout()).unwrap();

@@ -6,12 +6,12 @@ use super::{
     ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, SCRATCH, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
-use crate::agent::Agent;
-use crate::replay::Span;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use trestle_algorithm::agent::Agent;
+use trestle_algorithm::replay::Span;
 use trestle_proto::codec::{self, Kind, MAX_BODY};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};

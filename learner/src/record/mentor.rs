@@ -5,31 +5,12 @@
 use super::error::{RecordError, io};
 use std::io::{self as stdio, Write};
 use std::path::Path;
-use trestle_proto::annotation::{Bridge, Estimate};
+use trestle_algorithm::agent::MentorRow;
 use trestle_proto::plan::MentorPart;
 use trestle_proto::rundir::{Durable, MENTOR_FILE, write_atomically};
 
 const COLUMNS: &str =
     "transition,demo,trajectory,step,visited,used,e_kl,a_est,r_est,feasible,bridge_len,a_feas,r_feas";
-
-/// One mentor transition.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MentorRow<'a> {
-    /// s_m.
-    pub state: &'a [f32],
-    /// Whether it begins a trajectory.
-    pub first: bool,
-    /// Observer transitions that it was picked for when they were stored.
-    pub visited: u64,
-    /// Samples of gradient steps that were trained with its L_m.
-    pub used: u64,
-    /// The best estimate, if there is one.
-    pub estimate: Option<Estimate>,
-    /// Whether it is taken as feasible.
-    pub feasible: bool,
-    /// The best bridge, if there is one; it counts only where the transition is infeasible.
-    pub bridge: Option<Bridge<'a>>,
-}
 
 /// Writes `mentor.csv` into the run directory `dir`. A reader sees the old file or the new one, never a part. `rows`
 /// are the transitions of all `parts`, in order.
@@ -82,6 +63,7 @@ fn write_rows<'a>(
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use trestle_proto::annotation::{Bridge, Estimate};
 
     #[test]
     fn a_line_a_transition_with_blanks_for_what_is_unknown() {

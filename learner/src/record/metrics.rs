@@ -1,24 +1,13 @@
 //! The rows of `metrics.jsonl` and the points of TensorBoard's curves: keys and values, and the window over
 //! the newest episodes that some of them are means of.
 
-use super::progress::Counters;
 use serde::{Deserialize, Serialize, Serializer};
 use std::borrow::Cow;
 use std::collections::VecDeque;
+use trestle_algorithm::agent::{Counters, Episode};
 
 /// Episodes that the rolling means look back on, as in Stable-Baselines3.
 pub const WINDOW: usize = 100;
-
-/// A finished episode.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Episode {
-    /// Undiscounted sum of the rewards, finite.
-    pub total_reward: f64,
-    /// Steps.
-    pub length: u64,
-    /// Whether it ended in a terminal state rather than at the step limit.
-    pub success: bool,
-}
 
 /// Means over episodes.
 #[derive(Clone, Copy, Debug, PartialEq)]

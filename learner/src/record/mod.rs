@@ -31,9 +31,9 @@ mod tensorboard;
 
 pub use actors::{ActorRow, Staleness, write_actors};
 pub use error::RecordError;
-pub use mentor::{MentorRow, write_mentor};
-pub use metrics::{Episode, Gauges, MentorGauges, WINDOW};
-pub use progress::{Counters, Limits, Progress, seconds_left};
+pub use mentor::write_mentor;
+pub use metrics::{Gauges, MentorGauges, WINDOW};
+pub use progress::{Limits, Progress, seconds_left};
 pub use result::{RunResult, write_result};
 pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};
 
@@ -44,6 +44,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tensorboard::EventWriter;
+use trestle_algorithm::agent::{Counters, Episode};
 use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 
 /// Time between interval rows, as a loop that has no reason for another would set it.

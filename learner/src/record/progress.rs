@@ -1,6 +1,7 @@
 //! How far a run is, for whoever watches it, and how long it still takes.
 
 use serde::{Deserialize, Serialize};
+use trestle_algorithm::agent::Counters;
 
 /// How far a run is: the learner prints one as a line of JSON now and then, the supervisor draws it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -36,17 +37,6 @@ pub struct Limits {
     pub episodes: Option<u64>,
     /// Environment steps of all actors.
     pub env_steps: Option<u64>,
-}
-
-/// What a run counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Counters {
-    /// Finished training episodes.
-    pub episodes: u64,
-    /// Environment steps of all actors.
-    pub env_steps: u64,
-    /// Gradient steps.
-    pub grad_steps: u64,
 }
 
 /// Seconds until the nearer limit at the pace of the last `elapsed_s` seconds, in which the run went from

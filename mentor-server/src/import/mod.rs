@@ -24,11 +24,11 @@ mod tests;
 pub use choice::{Columns, Ends, Episodes};
 pub use error::{ImportError, Place};
 
-use crate::demonstration::Demonstration;
 use sink::Sink;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use trestle_algorithm::demonstration::Demonstration;
 
 /// What of a source is wanted.
 #[derive(Clone, Debug, Default)]

@@ -2,8 +2,8 @@
 
 use super::error::{ImportError, Place};
 use super::{Ends, Options};
-use crate::demonstration::Demonstration;
 use std::path::{Path, PathBuf};
+use trestle_algorithm::demonstration::Demonstration;
 use trestle_proto::limits::{MAX_MENTOR_TRANSITIONS, MAX_OBS_DIM};
 
 /// Takes rows, episode after episode.

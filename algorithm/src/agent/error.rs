@@ -1,0 +1,86 @@
+//! What can keep an agent from being made, fed or trained.
+
+use crate::replay::ReplayMemoryError;
+use crate::similarity::metric::MetricError;
+use trestle_proto::annotation::AnnotationError;
+use trestle_qnet::{AdamError, LossError, NetworkError, PlanError};
+
+/// Why an agent cannot be made or cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// The state distance of shaping.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
+    /// The network's sizes or its input's encoding.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// A setting of the optimiser.
+    #[error(transparent)]
+    Adam(#[from] AdamError),
+    /// A setting of the loss.
+    #[error(transparent)]
+    Loss(#[from] LossError),
+    /// The parameters.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// candle's automatic differentiation (`learner.backend = "candle"`).
+    #[error("candle failed: {0}")]
+    Candle(#[from] candle_core::Error),
+    /// The replay.
+    #[error(transparent)]
+    Replay(#[from] ReplayMemoryError),
+    /// An annotation of the mentor-server.
+    #[error(transparent)]
+    Annotation(#[from] AnnotationError),
+    /// The demonstration is not the plan's.
+    #[error("run.algo = {algo}: {what} is {found}; accepted: {accepted}")]
+    Mentor {
+        /// The algorithm.
+        algo: &'static str,
+        /// What does not fit.
+        what: &'static str,
+        /// Its value.
+        found: usize,
+        /// What is accepted.
+        accepted: usize,
+    },
+    /// A batch, or the mentor-server's answer to it, that this run cannot use.
+    #[error("batch of actor {actor}: {what} is {found}; accepted: {accepted}")]
+    Batch {
+        /// The batch's actor.
+        actor: u32,
+        /// What does not fit.
+        what: &'static str,
+        /// Its value.
+        found: usize,
+        /// What is accepted.
+        accepted: String,
+    },
+    /// A saved state that is not of this run, or whose parts do not belong together.
+    #[error("saved state: {what} is {found}; accepted: {accepted}")]
+    Restore {
+        /// What does not fit.
+        what: &'static str,
+        /// Its value.
+        found: u64,
+        /// What is accepted.
+        accepted: u64,
+    },
+    /// A run that ended at its limits in the middle of a tick is to go on with higher ones.
+    #[error(
+        "the run ended within a tick, and the rest of that tick is lost: it cannot go on with a higher \
+         run.episodes or run.env_steps; an older checkpoint can"
+    )]
+    CutShort,
+    /// Training has diverged.
+    #[error(
+        "{what} is no longer finite after {grad_steps} gradient steps: training has diverged; a smaller learner.lr \
+         or a learner.max_grad_norm above 0 may help"
+    )]
+    Diverged {
+        /// The loss, or the weights.
+        what: &'static str,
+        /// Gradient steps taken.
+        grad_steps: u64,
+    },
+}

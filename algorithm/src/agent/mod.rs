@@ -1,0 +1,327 @@
+//! The agent: all that learns, and nothing that communicates.
+//!
+//! A loop, distributed or not, calls the same few methods:
+//!
+//! ```text
+//! agent = Agent::new(&plan, mentor_transitions)
+//! each tick, while !agent.done():
+//!     each actor's batch, in the order of the actors:
+//!         observed = what the mentor-server answers to the batch        (nothing for dqn)
+//!         ingested = agent.ingest(&batch, Some(&observed))              counts, stores, reports ended episodes
+//!     stats = agent.train()                                             all gradient steps that are due
+//!     the actors get agent.acting()
+//! ```
+//!
+//! The agent's state is a function of the plan and of what was ingested, in this order.
+
+mod counts;
+mod error;
+mod ingest;
+mod state;
+mod stats;
+mod step;
+mod train;
+
+pub use counts::{Counters, Episode, MentorRow};
+pub use error::AgentError;
+pub use ingest::{FinishedEpisode, Ingested};
+pub use state::{AgentState, Parts};
+pub use stats::{MentorSummary, TrainStats};
+
+use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
+use crate::replay::Replay;
+use crate::shaping::Shaping;
+use sha2::{Digest, Sha256};
+use std::ops::Range;
+use step::Step;
+use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionKind};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
+
+/// The guide's entry of a mentor transition of which no action is known.
+const UNKNOWN: f32 = -1.0;
+
+/// All that learns. See the module for how it is used.
+#[derive(Debug)]
+pub struct Agent {
+    settings: Settings,
+    encoding: Encoding,
+    network: QNetwork,
+    adam: Adam,
+    replay: Replay,
+    /// None for `dqn`.
+    mentor: Option<MentorSide>,
+    /// What is added to the rewards, if anything is.
+    shaping: Option<Shaping>,
+    /// Draws from the replay.
+    rng: Stream,
+    counters: Counters,
+    /// Environment steps up to which gradient steps have been taken.
+    trained_to: u64,
+    /// The unfinished episode of each actor.
+    running: Vec<Running>,
+    /// Whether transitions have been dropped because the run had reached its limits.
+    cut_short: bool,
+    step: Step,
+    /// What actors get: a copy of the online parameters as of the last [`Agent::train`], and behind them, with guided
+    /// exploration, the action of each mentor transition, or -1.
+    acting: Vec<f32>,
+}
+
+/// What the agent takes from the plan.
+#[derive(Clone, Debug)]
+struct Settings {
+    learner: Learner,
+    adam: AdamConfig,
+    loss: Loss,
+    gamma: f32,
+    tau: f32,
+    n_actions: usize,
+    /// See [`trestle_proto::space::EnvSpec::goal_bonus`].
+    goal_bonus: f32,
+    /// The run ends with this many finished episodes or environment steps.
+    episodes: Option<u64>,
+    env_steps: Option<u64>,
+    rule: MentorRule,
+    selection: Selection,
+    combine: CombineKind,
+    draw: DrawKind,
+    one_sided: bool,
+}
+
+/// How a sample's loss is chosen, with the settings of the choice.
+#[derive(Clone, Copy, Debug)]
+enum Selection {
+    MinDistance,
+    Confidence(Confidence),
+    Always,
+}
+
+/// What the agent knows of the mentor.
+#[derive(Debug)]
+struct MentorSide {
+    transitions: MentorTransitions,
+    /// Mirror of the mentor-server's table.
+    annotations: AnnotationTable,
+    /// For each mentor transition the samples that have been trained with a mentor's loss of it: c of the
+    /// confidence. A transition stands for its state s_m.
+    trained: Vec<u32>,
+    /// For each mentor transition the observer transitions that it was picked for.
+    visited: Vec<u64>,
+    /// For each mentor transition the samples whose loss had a share of its L_m.
+    used: Vec<u64>,
+    /// Searches for bridges that met their limit.
+    searches_cut_short: u64,
+}
+
+impl MentorSide {
+    fn row(&self, j: usize, rule: &MentorRule) -> MentorRow<'_> {
+        let term = mentor_term(rule, j, &self.annotations, &self.transitions, 0.0);
+        MentorRow {
+            state: self.transitions.state(j),
+            first: self.transitions.first(j),
+            visited: self.visited[j],
+            used: self.used[j],
+            estimate: self.annotations.estimate(j),
+            feasible: term.is_some_and(|term| term.kind == MentorKind::Feasible),
+            bridge: self.annotations.bridge(j),
+        }
+    }
+}
+
+/// An episode under way.
+#[derive(Clone, Copy, Debug, Default)]
+struct Running {
+    total_reward: f64,
+    length: u64,
+}
+
+impl Agent {
+    /// A new agent with the initial weights of the plan's seed. `mentor` is the demonstration, `plan.mentor_len()`
+    /// transitions of it, exactly where the algorithm learns from one.
+    ///
+    /// # Errors
+    /// A setting that its user refuses, a demonstration that is not the plan's, or memory that cannot be had.
+    pub fn new(plan: &RunPlan, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
+        let settings = Settings::new(plan)?;
+        let ((layout, encoding), kernels) = (network_of(plan)?, kernels_of(plan)?);
+        let (obs_dim, n_actions) = (plan.spec.obs_dim(), plan.spec.n_actions());
+        let mentor = check_mentor(plan, mentor)?.map(|transitions| MentorSide {
+            annotations: AnnotationTable::new(transitions.len(), obs_dim, n_actions),
+            trained: vec![0; transitions.len()],
+            visited: vec![0; transitions.len()],
+            used: vec![0; transitions.len()],
+            searches_cut_short: 0,
+            transitions,
+        });
+        let seed = plan.config.run.seed;
+        let mut acting = init(&layout, &mut stream(seed, Purpose::Weights, 0));
+        let network = QNetwork::new(layout.clone(), &acting)?.with_kernels(kernels);
+        acting.resize(acting.len() + plan.guide_len(), UNKNOWN);
+        Ok(Self {
+            step: Step::new(&layout, settings.learner.batch, kernels),
+            adam: Adam::new(layout.n_params()),
+            replay: Replay::new(settings.learner.replay, obs_dim)?,
+            network,
+            shaping: Shaping::new(plan)?,
+            rng: stream(seed, Purpose::Replay, 0),
+            counters: Counters::default(),
+            trained_to: 0,
+            running: vec![Running::default(); plan.config.run.actors as usize],
+            cut_short: false,
+            settings,
+            encoding,
+            mentor,
+            acting,
+        })
+    }
+
+    /// Episodes, environment steps and gradient steps so far.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Whether the run has reached its number of episodes or of environment steps.
+    pub fn done(&self) -> bool {
+        let reached = |limit: Option<u64>, count| limit.is_some_and(|limit| count >= limit);
+        reached(self.settings.episodes, self.counters.episodes)
+            || reached(self.settings.env_steps, self.counters.env_steps)
+    }
+
+    /// The actors have taken steps that the agent will never see: it cannot go on with them.
+    pub fn cut(&mut self) {
+        self.cut_short = true;
+    }
+
+    /// Whether transitions have been dropped because the run had reached its limits: it cannot go on then.
+    pub fn cut_short(&self) -> bool {
+        self.cut_short
+    }
+
+    /// The online parameters after the last [`Agent::train`] (the initial ones before the first), flat in the order
+    /// of the layout.
+    pub fn weights(&self) -> &[f32] {
+        &self.acting[..self.network.layout().n_params()]
+    }
+
+    /// What actors act with: [`Agent::weights`], and with guided exploration the table of actions behind them, one entry
+    /// for each mentor transition: the action of its loss as of the last [`Agent::ingest`], or -1.
+    pub fn acting(&self) -> &[f32] {
+        &self.acting
+    }
+
+    /// Renews the guide's entry of mentor transition `j`.
+    fn renew_guide(&mut self, j: usize) {
+        let Some(mentor) = &self.mentor else { return };
+        let n_params = self.network.layout().n_params();
+        if let Some(entry) = self.acting.get_mut(n_params + j) {
+            let term = mentor_term(&self.settings.rule, j, &mentor.annotations, &mentor.transitions, 0.0);
+            // Exact: there are at most 1024 actions.
+            *entry = term.map_or(UNKNOWN, |term| term.action as f32);
+        }
+    }
+
+    /// SHA-256 of [`Agent::weights`] as little-endian bytes, in hexadecimal: equal for runs that learnt the same.
+    pub fn weights_sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        for weight in self.weights() {
+            hash.update(weight.to_le_bytes());
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The network: layout, online and target parameters.
+    pub fn network(&self) -> &QNetwork {
+        &self.network
+    }
+
+    /// The replay, from which a mentor-server's history can be rebuilt.
+    pub fn replay(&self) -> &Replay {
+        &self.replay
+    }
+
+    /// The mirror of the mentor-server's annotations; none for `dqn`.
+    pub fn annotations(&self) -> Option<&AnnotationTable> {
+        self.mentor.as_ref().map(|mentor| &mentor.annotations)
+    }
+
+    /// What the annotations of the mentor transitions `range` amount to, under this run's rule of feasibility; none for
+    /// `dqn`. Looks at each of them.
+    pub fn mentor_summary(&self, range: Range<usize>) -> Option<MentorSummary> {
+        Some(MentorSummary::of(&self.settings.rule, self.mentor.as_ref()?, range))
+    }
+
+    /// Searches for bridges that met their limit so far; none for `dqn`.
+    pub fn searches_cut_short(&self) -> Option<u64> {
+        self.mentor.as_ref().map(|mentor| mentor.searches_cut_short)
+    }
+
+    /// What is known of each mentor transition, and how often it mattered; none for `dqn`.
+    pub fn mentor_rows(&self) -> Option<impl Iterator<Item = MentorRow<'_>>> {
+        let (mentor, rule) = (self.mentor.as_ref()?, &self.settings.rule);
+        Some((0..mentor.transitions.len()).map(move |j| mentor.row(j, rule)))
+    }
+}
+
+impl Settings {
+    fn new(plan: &RunPlan) -> Result<Self, AgentError> {
+        let (run, learner, mentor) = (&plan.config.run, &plan.config.learner, &plan.config.mentor);
+        let adam = AdamConfig {
+            lr: learner.lr,
+            beta1: learner.adam_beta1,
+            beta2: learner.adam_beta2,
+            eps: learner.adam_eps,
+        };
+        adam.validate()?;
+        let loss = match learner.loss {
+            LossKind::Huber => Loss::Huber { delta: learner.huber_delta as f32 },
+            LossKind::Squared => Loss::Squared,
+        };
+        loss.validate()?;
+        Ok(Self {
+            learner: learner.clone(),
+            adam,
+            loss,
+            gamma: learner.gamma as f32,
+            tau: learner.tau as f32,
+            n_actions: plan.spec.n_actions(),
+            goal_bonus: plan.spec.goal_bonus,
+            episodes: run.episodes,
+            env_steps: run.env_steps,
+            rule: MentorRule::new(run.algo, mentor),
+            selection: match mentor.selection {
+                SelectionKind::MinDistance => Selection::MinDistance,
+                SelectionKind::Confidence => Selection::Confidence(Confidence::new(mentor)),
+                SelectionKind::Always => Selection::Always,
+            },
+            combine: mentor.combine,
+            draw: mentor.draw,
+            one_sided: mentor.one_sided,
+        })
+    }
+}
+
+/// Refuses a demonstration that is not the plan's.
+fn check_mentor(
+    plan: &RunPlan,
+    mentor: Option<MentorTransitions>,
+) -> Result<Option<MentorTransitions>, AgentError> {
+    let algo = plan.config.run.algo;
+    let refuse = |what, found, accepted| Err(AgentError::Mentor { algo: algo.name(), what, found, accepted });
+    let found = mentor.as_ref().map_or(0, MentorTransitions::len);
+    // The smallest demonstration has one transition.
+    let accepted = if algo.has_mentor() { plan.mentor_len().max(1) } else { 0 };
+    match mentor {
+        _ if found != accepted => refuse("the number of mentor transitions", found, accepted),
+        Some(mentor) if mentor.obs_dim() != plan.spec.obs_dim() => {
+            refuse("the number of features of a mentor state", mentor.obs_dim(), plan.spec.obs_dim())
+        }
+        mentor => Ok(mentor.filter(|_| algo.has_mentor())),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,156 @@
+//! The agent as parts that a checkpoint keeps, and back.
+
+use super::Counters;
+use super::{Agent, AgentError, MentorSide, Running};
+use serde::{Deserialize, Serialize};
+use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::rng::Stream;
+use trestle_qnet::Adam;
+
+/// What an agent remembers beside its parameters, its optimiser, its replay and its annotations.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgentState {
+    /// Episodes, environment steps and gradient steps.
+    pub counters: Counters,
+    /// Environment steps up to which gradient steps have been taken.
+    trained_to: u64,
+    /// The stream that draws from the replay.
+    rng: Stream,
+    /// Return and length of each actor's unfinished episode.
+    running: Vec<(f64, u64)>,
+    /// Whether the run ended within a tick, whose remaining transitions are lost.
+    cut_short: bool,
+    /// Training counts of the mentor transitions.
+    trained: Vec<u32>,
+    /// For each mentor transition how often it was picked for an observer transition, and used in a sample's loss.
+    visited: Vec<u64>,
+    used: Vec<u64>,
+    /// Searches for bridges that met their limit.
+    searches_cut_short: u64,
+    /// CRC-32C of the demonstration, so that an agent never goes on with another one.
+    demonstration: u32,
+}
+
+/// What [`Agent::restore`] needs beside the replay.
+#[derive(Clone, Debug)]
+pub struct Parts {
+    /// Counters, streams, running episodes.
+    pub state: AgentState,
+    /// Online parameters.
+    pub online: Vec<f32>,
+    /// Target parameters.
+    pub target: Vec<f32>,
+    /// The optimiser.
+    pub adam: Adam,
+    /// Annotation records of every mentor transition; empty for `dqn`.
+    pub annotations: Vec<u32>,
+}
+
+fn fingerprint(transitions: &MentorTransitions) -> u32 {
+    let mut words = Vec::new();
+    (0..transitions.len()).fold(0, |crc, j| {
+        words.clear();
+        transitions.encode(j, &mut words);
+        crc32c::crc32c_append(crc, bytemuck::cast_slice(&words))
+    })
+}
+
+impl MentorSide {
+    fn records(&self) -> Vec<u32> {
+        let mut words = Vec::new();
+        (0..self.annotations.len()).for_each(|j| self.annotations.encode(j, &mut words));
+        words
+    }
+}
+
+impl Agent {
+    /// The part of the state that is small and its own business.
+    pub fn state(&self) -> AgentState {
+        AgentState {
+            counters: self.counters,
+            trained_to: self.trained_to,
+            rng: self.rng.clone(),
+            running: self.running.iter().map(|r| (r.total_reward, r.length)).collect(),
+            cut_short: self.cut_short,
+            trained: self.mentor.as_ref().map(|mentor| mentor.trained.clone()).unwrap_or_default(),
+            visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
+            used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
+            searches_cut_short: self.searches_cut_short().unwrap_or(0),
+            demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
+        }
+    }
+
+    /// The optimiser.
+    pub fn adam(&self) -> &Adam {
+        &self.adam
+    }
+
+    /// Annotation records ([`trestle_proto::annotation`]) of every mentor transition; empty for `dqn`. They are
+    /// also what a new mentor-server is given when a run is resumed.
+    pub fn annotation_records(&self) -> Vec<u32> {
+        self.mentor.as_ref().map(MentorSide::records).unwrap_or_default()
+    }
+
+    /// Gives a new agent of the same plan the state of another. Its replay must have been read before.
+    ///
+    /// # Errors
+    /// Parts that are not of this plan, or do not belong together.
+    pub fn restore(&mut self, parts: &Parts) -> Result<(), AgentError> {
+        let state = &parts.state;
+        let mentor_len = self.mentor.as_ref().map_or(0, |mentor| mentor.transitions.len());
+        let demonstration = self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions));
+        let n_params = self.network.layout().n_params();
+        let moments = |moments: &[f32]| moments.len() as u64;
+        for (what, found, accepted) in [
+            ("the number of actors", state.running.len() as u64, self.running.len() as u64),
+            ("the number of training counts", state.trained.len() as u64, mentor_len as u64),
+            ("the number of visit counts", state.visited.len() as u64, mentor_len as u64),
+            ("the number of use counts", state.used.len() as u64, mentor_len as u64),
+            ("the demonstration's checksum", state.demonstration.into(), demonstration.into()),
+            ("the number of first moments", moments(&parts.adam.m), n_params as u64),
+            ("the number of second moments", moments(&parts.adam.v), n_params as u64),
+            ("the number of optimiser steps", parts.adam.step, state.counters.grad_steps),
+            ("the number of stored transitions", self.replay.next_index(), state.counters.env_steps),
+        ] {
+            if found != accepted {
+                return Err(AgentError::Restore { what, found, accepted });
+            }
+        }
+        if state.trained_to > state.counters.env_steps {
+            let (found, accepted) = (state.trained_to, state.counters.env_steps);
+            return Err(AgentError::Restore { what: "the step trained up to", found, accepted });
+        }
+        if let Some(mentor) = &mut self.mentor {
+            mentor.annotations.apply(&parts.annotations)?;
+            mentor.trained.copy_from_slice(&state.trained);
+            mentor.visited.copy_from_slice(&state.visited);
+            mentor.used.copy_from_slice(&state.used);
+            mentor.searches_cut_short = state.searches_cut_short;
+        }
+        self.network.load(&parts.online, &parts.target)?;
+        self.acting[..n_params].copy_from_slice(&parts.online);
+        (0..mentor_len).for_each(|j| self.renew_guide(j));
+        if let Some(shaping) = &mut self.shaping {
+            shaping.store_all(&self.replay);
+        }
+        self.adam.clone_from(&parts.adam);
+        self.counters = state.counters;
+        self.trained_to = state.trained_to;
+        self.rng = state.rng.clone();
+        self.cut_short = state.cut_short;
+        self.running =
+            state.running.iter().map(|&(total_reward, length)| Running { total_reward, length }).collect();
+        // Its actors and its mentor-server know transitions that the replay does not.
+        if self.cut_short && !self.done() { Err(AgentError::CutShort) } else { Ok(()) }
+    }
+
+    /// Forgets return and length of `actor`'s unfinished episode: it will have no end.
+    pub fn abandon_episode(&mut self, actor: u32) {
+        self.running[actor as usize] = Running::default();
+    }
+
+    /// The replay, to be read from a checkpoint.
+    pub fn replay_mut(&mut self) -> &mut crate::replay::Replay {
+        &mut self.replay
+    }
+}

@@ -1,0 +1,26 @@
+//! Tests of the agent: what it counts and stores, what it trains, and against naive oracles.
+
+#![allow(clippy::unwrap_used)]
+
+mod allocations;
+mod counts;
+mod gradient;
+
+use super::Agent;
+use crate::testing::{World, demonstration, plan};
+
+/// A new agent and its world.
+fn agent(sets: &[&str], seed: u64) -> (Agent, World) {
+    let plan = plan(sets);
+    let agent = Agent::new(&plan, demonstration(&plan)).unwrap();
+    (agent, World::new(&plan, seed))
+}
+
+/// Lets `agent` live through `ticks` ticks of one actor.
+fn live(agent: &mut Agent, world: &mut World, ticks: usize) {
+    for _ in 0..ticks {
+        let (batch, observed) = world.batch(0, 8);
+        agent.ingest(&batch, observed.as_ref()).unwrap();
+        agent.train(|| ()).unwrap();
+    }
+}

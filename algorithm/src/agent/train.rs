@@ -1,0 +1,82 @@
+//! Gradient steps: those that are due, one after the other.
+
+use super::{Agent, AgentError, Selection, TrainStats};
+use trestle_proto::config::TargetKind;
+use trestle_proto::schedule::gradient_steps_due;
+use trestle_qnet::clip_grad_norm;
+
+impl Agent {
+    /// Takes all gradient steps that are due since the last call, and renews [`Agent::weights`]. Calls `finished` after
+    /// each of them: many may be due at once, and a supervisor wants signs of life meanwhile.
+    ///
+    /// # Errors
+    /// The loss or a weight is no longer finite, or candle fails. The agent is of no use then.
+    pub fn train(&mut self, mut finished: impl FnMut()) -> Result<TrainStats, AgentError> {
+        let learner = &self.settings.learner;
+        let (from, to) = (self.trained_to, self.counters.env_steps);
+        let due = gradient_steps_due(from, to, learner.warmup, learner.train_every);
+        self.trained_to = to;
+        let mut stats = TrainStats::default();
+        for _ in 0..due {
+            self.gradient_step(&mut stats)?;
+            finished();
+        }
+        if due > 0 {
+            let weights = &mut self.acting[..self.network.layout().n_params()];
+            self.network.with_params(|online, _| weights.copy_from_slice(online))?;
+            let grad_steps = self.counters.grad_steps;
+            if !stats.loss_sum.is_finite() {
+                return Err(AgentError::Diverged { what: "the loss", grad_steps });
+            }
+            // Without a way out of the loop, so that it runs through whole registers.
+            if !self.weights().iter().fold(true, |finite, w| finite & w.is_finite()) {
+                return Err(AgentError::Diverged { what: "a weight", grad_steps });
+            }
+        }
+        Ok(stats)
+    }
+
+    /// Draw, forward, choose, backward, Adam, target.
+    pub(super) fn gradient_step(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
+        let (settings, step) = (&self.settings, &mut self.step);
+        step.draw(&self.replay, self.mentor.as_ref(), settings.draw, &mut self.rng, settings.learner.batch);
+        step.collect(&self.replay, self.mentor.as_ref(), &settings.rule, &self.encoding);
+        step.forward_values(&self.network)?;
+        step.choose(
+            &self.replay,
+            self.mentor.as_ref(),
+            self.shaping.as_ref(),
+            settings,
+            &self.encoding,
+            stats,
+        );
+        if let Some(mentor) = &mut self.mentor {
+            step.count_used(&mut mentor.used);
+            match settings.selection {
+                Selection::MinDistance => step.refresh_past(&mut self.replay),
+                Selection::Confidence(_) | Selection::Always => step.count_trained(&mut mentor.trained),
+            }
+        }
+        step.forward_targets(&self.network, settings)?;
+        step.differentiate(&self.network, settings, stats)?;
+
+        let (adam, grad) = (&mut self.adam, &mut step.grad);
+        let (kernels, max_norm) = (step.workspace.kernels(), settings.learner.max_grad_norm as f32);
+        self.network.update(|params| {
+            if max_norm > 0.0 {
+                stats.grad_norm_sum += f64::from(clip_grad_norm(kernels, grad, max_norm));
+            }
+            adam.step(&settings.adam, kernels, params, grad);
+        })?;
+        self.counters.grad_steps += 1;
+        match settings.learner.target {
+            TargetKind::Hard if self.counters.grad_steps.is_multiple_of(settings.learner.target_every) => {
+                self.network.hard_update()?;
+            }
+            TargetKind::Hard => {}
+            TargetKind::Polyak => self.network.polyak_update(settings.tau)?,
+        }
+        stats.grad_steps += 1;
+        Ok(())
+    }
+}

@@ -1,0 +1,84 @@
+//! Bookkeeping of a breadth-first search over similar states: what has been seen, how far it has gone, how much it has
+//! looked at.
+
+use super::Path;
+use super::graph::Graph;
+use crate::similarity::metric::kl;
+use crate::states::States;
+
+/// Which states have been seen in the present search.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Marks {
+    stamps: Vec<u32>,
+    now: u32,
+}
+
+impl Marks {
+    /// Forgets all marks; states are below `bound`.
+    pub(super) fn begin(&mut self, bound: usize) {
+        if self.now == u32::MAX {
+            self.stamps.fill(0);
+            self.now = 0;
+        }
+        self.now += 1;
+        self.stamps.resize(bound.max(self.stamps.len()), 0);
+    }
+
+    /// Marks `id`; whether it was not marked before.
+    pub(super) fn first_time(&mut self, id: u32) -> bool {
+        std::mem::replace(&mut self.stamps[id as usize], self.now) != self.now
+    }
+}
+
+/// How far a search has gone in one direction.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Side {
+    /// Whether there is a further level.
+    pub(super) open: bool,
+    /// The last level that has been looked at.
+    pub(super) steps: usize,
+    /// States and links looked at.
+    looks: usize,
+    limit: usize,
+}
+
+impl Side {
+    /// At level 0. At most `limit` looks.
+    pub(super) fn new(open: bool, limit: usize) -> Self {
+        Self { open, limit, ..Self::default() }
+    }
+
+    /// Counts `count` more looks.
+    pub(super) fn look(&mut self, count: usize) {
+        self.looks += count;
+    }
+
+    /// Whether the limit is exceeded.
+    pub(super) fn exhausted(&self) -> bool {
+        self.looks > self.limit
+    }
+}
+
+/// Calls `visit` with every stored state similar to state `id` while the limit of `side` lasts. Each state that is
+/// looked at counts.
+pub(super) fn similar(
+    graph: &Graph,
+    states: &States,
+    id: u32,
+    path: &Path<'_>,
+    side: &mut Side,
+    mut visit: impl FnMut(u32, &mut Side),
+) {
+    let centre = states.whitened(id);
+    graph.cells.nearby(centre, |list| {
+        side.look(list.len());
+        for &other in list {
+            if side.exhausted() {
+                return;
+            }
+            if kl(centre, states.whitened(other)) <= path.similarity.e_th() {
+                visit(other, side);
+            }
+        }
+    });
+}

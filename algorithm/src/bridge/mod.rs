@@ -1,0 +1,112 @@
+//! Bridges: paths of the observer's own stored transitions that lead from a mentor state back onto the mentor's path
+//! where the mentor's own next step is out of reach (deep k-n step repair, paper Algorithm 1, Fig. 4 and 5).
+//!
+//! # Definition
+//! States are similar up to KL = `e_th`. A *bridge* for mentor transition j, which begins in s_m, is a path of stored
+//! transitions t_1 ... t_l, 1 <= l <= k, such that
+//!
+//! 1. s of t_1 is similar to s_m;
+//! 2. each t_{i+1} may follow t_i, which did not end its episode: t_i is t_{i+1}'s predecessor
+//!    ([`crate::history`]), or, with *cross-referencing* (Fig. 5), s of t_{i+1} is similar to s' of t_i, whatever their
+//!    episodes and actors;
+//! 3. s' of t_l is similar to a mentor state 1 to n mentor steps after s_m in the same trajectory. The nearest such
+//!    state's KL is the bridge's *end KL*. (t_l may end its episode.)
+//!
+//! Of two bridges the shorter one is the better one (the paper wants the shortest), then that with the smaller end KL,
+//! then that whose first step has the higher reward (our choice, and so is the order: a path that truly returns to the
+//! mentor's is worth more than a reward that may owe to circumstances). Among those that one transition completes the best
+//! is found; of equally good ones that whose first step has the smaller action, then the smaller s', so that no order of
+//! storage shows.
+//!
+//! It replaces the known one if it is shorter. If it is as long, it does so only by what the newest transition itself
+//! brings: an end that is nearer, or as near with a better first step, where it is the last step; a higher reward,
+//! with an end no farther, where it is the first; a higher reward wherever it is, if the known bridge ends in the mentor's very
+//! state. Which other stored ends a path could reach that has just become possible is not looked into: in a crowd of states
+//! that are never seen twice there are always nearer ends that no bridge of this length leads to, and every transition would
+//! be searched from in vain. In a world of few states, all equal or dissimilar, nothing is lost: the bridge is at any time
+//! the best one that has ever been in the history.
+//!
+//! Bridges are looked for where the mentor transition is infeasible at the time: e_KL >= `e_infeas`, or no estimate
+//! yet. A bridge is kept when the transitions that it was found from have left the history.
+//!
+//! # Search
+//! Nothing is ever scanned. Every new bridge contains the newest transition, so it is enough to look for paths through
+//! that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the cross-referencing, and
+//! `outlook` and `wanted` say beforehand where that could improve anything.
+//! [`oracle`] is Algorithm 1 as it stands, which the tests compare with: at any time each infeasible transition's
+//! bridge is as short as the shortest that has ever been in the history, and in a world of few states it is the best.
+
+pub mod cells;
+mod frontier;
+pub mod graph;
+pub mod oracle;
+mod outlook;
+mod room;
+pub mod search;
+pub mod store;
+pub mod straight;
+pub mod strides;
+mod wanted;
+
+#[cfg(test)]
+mod tests;
+
+use crate::demonstration::Order;
+use crate::similarity::{Hit, Similarity};
+use trestle_proto::annotation::{AnnotationTable, Bridge};
+
+/// What bridges are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BridgeRule {
+    /// Most observer steps, 1 to 64.
+    pub k: usize,
+    /// Most mentor steps, 1 to 64.
+    pub n: usize,
+    /// A mentor transition with this e_KL or more is infeasible.
+    pub e_infeas: f32,
+}
+
+/// The mentor's path, as bridge search sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Path<'a> {
+    /// What bridges are.
+    pub rule: BridgeRule,
+    /// The order of its states.
+    pub order: &'a Order,
+    /// Which of its states are similar to a state.
+    pub similarity: &'a Similarity,
+}
+
+impl Path<'_> {
+    /// The smallest KL among the `hits` that are mentor states ahead of transition `j`.
+    fn nearest_end(&self, j: usize, hits: &[Hit]) -> Option<f32> {
+        let ahead = self.order.ahead(j, self.rule.n);
+        let from = hits.partition_point(|hit| (hit.state as usize) < ahead.start);
+        let inside = hits[from..].iter().take_while(|hit| (hit.state as usize) < ahead.end);
+        inside.map(|hit| hit.kl).reduce(f32::min)
+    }
+}
+
+/// Whether the newest transition is the first step of a path, and whether it is the last.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    first: bool,
+    last: bool,
+}
+
+/// Makes `found`, in which the newest transition has this `place`, the bridge of mentor transition `j` if it is better
+/// than the one that is known. Whether it was.
+fn improve(table: &mut AnnotationTable, j: usize, found: &Bridge<'_>, place: Place) -> bool {
+    let better = table.bridge(j).is_none_or(|known| {
+        if found.length != known.length {
+            return found.length < known.length;
+        }
+        let better_start = found.end_kl <= known.end_kl && found.reward > known.reward;
+        place.last && (found.end_kl < known.end_kl || better_start)
+            || (place.first || known.end_kl == 0.0) && better_start
+    });
+    if better {
+        table.set_bridge(j, found);
+    }
+    better
+}

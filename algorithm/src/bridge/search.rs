@@ -1,0 +1,457 @@
+//! Cross-referenced bridges: all paths through the newest transition, by breadth-first search in both directions.
+//!
+//! A bridge through transition t is p steps that lead to t, t itself, and q steps that follow, p + 1 + q <= k. Forward
+//! from t, level q holds the states that q further steps reach; backward, level p the states from which p steps
+//! lead to t. For each mentor transition the smallest p of a state similar to its beginning and the smallest q of a
+//! state similar to one ahead of it make the shortest bridge through t, and each level gives the best of its ties. A
+//! state is expanded at its first level only, since a later one makes no shorter path.
+//!
+//! Only what could matter is looked at. `wanted` says for which mentor transitions a path through t could improve
+//! the bridge, by what the longest stored step and the nearest stored ends allow: mostly for none, and the search is over
+//! before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until every
+//! wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
+//!
+//! What a level holds depends on the stored transitions alone, not on the order in which the graph keeps them. A search
+//! that has looked at [`MAX_LOOKS`] states and links in one direction drops the whole level that it is in, and goes no
+//! further that way: the choice, too, is one of the stored transitions alone.
+
+use super::frontier::{Marks, Side, similar};
+use super::graph::{Graph, News};
+use super::outlook::{Outlook, Stock};
+use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
+use super::{Path, Place, improve};
+use crate::demonstration::transitions;
+use crate::history::Stored;
+use crate::similarity::Hit;
+use crate::similarity::metric::kl;
+use crate::states::States;
+use std::cmp::Ordering;
+use trestle_proto::annotation::{AnnotationTable, Bridge};
+
+/// States and links that a search looks at in each direction, at most. Beyond it bridges may be missed, or longer
+/// than they could be; those without cross-referencing never are. Few searches begin, and most of them look at little: the
+/// limit is there so that even a batch of the most transitions is answered before its deadline.
+pub const MAX_LOOKS: usize = 1 << 18;
+/// More steps than any path has.
+pub(super) const NEVER: u32 = u32::MAX;
+/// Goals that each state is compared with, at most. Where more of them are near, they are looked up in the index instead,
+/// and no state is left out for its distance.
+const FEW: usize = 32;
+
+/// The first step of a path, as far as it decides between equally long ones.
+#[derive(Clone, Copy, Debug)]
+struct First {
+    action: u32,
+    reward: f32,
+    to: u32,
+}
+
+impl First {
+    fn beats(&self, other: &Self, states: &States) -> bool {
+        let features = || {
+            let pairs = states.raw(self.to).iter().zip(states.raw(other.to));
+            pairs.map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(Ordering::Equal)
+        };
+        let order = other.reward.total_cmp(&self.reward).then(self.action.cmp(&other.action));
+        order.then_with(features).is_lt()
+    }
+}
+
+/// Where paths from t end, for each mentor state: fewest steps after t, then smallest KL.
+#[derive(Clone, Debug, Default)]
+struct Ends {
+    steps: Vec<u32>,
+    kl: Vec<f32>,
+    touched: Vec<u32>,
+}
+
+/// Where paths to t begin, for each mentor transition: fewest steps before t, then best first step.
+#[derive(Clone, Debug, Default)]
+struct Starts {
+    steps: Vec<u32>,
+    first: Vec<First>,
+    touched: Vec<u32>,
+}
+
+/// The newest transition and where it has arrived.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival<'a> {
+    /// The distinct states.
+    pub states: &'a States,
+    /// The stored transitions, the newest among them.
+    pub graph: &'a Graph,
+    /// The newest transition t.
+    pub t: &'a Stored,
+    /// Its number.
+    pub index: u64,
+    /// Number of the oldest stored transition.
+    pub oldest: u64,
+    /// What it has added to the graph.
+    pub news: News,
+}
+
+/// Working memory of the search.
+#[derive(Clone, Debug)]
+pub struct Search {
+    /// [`MAX_LOOKS`], but for tests.
+    pub(crate) limit: usize,
+    outlook: Outlook,
+    collecting: Scratch,
+    wanted: Vec<Wanted>,
+    /// Where the present level heads for, if that is few places, and how near to them its states must be.
+    goals: Vec<Goal>,
+    limits: Vec<(u32, f32)>,
+    ends: Ends,
+    starts: Starts,
+    /// Forward: states reached; those of them that a path may go on from; states that its steps leave from.
+    reached: Marks,
+    continued: Marks,
+    onward: Marks,
+    level: Vec<u32>,
+    next_level: Vec<u32>,
+    next_reached: Vec<u32>,
+    /// Backward: states from which a path comes in; states that its steps leave from.
+    entered: Marks,
+    left: Marks,
+    back: Vec<(u32, First)>,
+    next_back: Vec<(u32, First)>,
+    /// Position of a state in `next_back`, where it is there.
+    slots: Vec<u32>,
+    stack: Vec<u32>,
+    hits: Vec<Hit>,
+    to_hits: Vec<Hit>,
+    cut_short: u64,
+}
+
+impl Search {
+    /// Working memory for a demonstration with this many states and transitions.
+    pub fn new(mentor_states: usize, mentor_transitions: usize) -> Self {
+        let nowhere = First { action: 0, reward: 0.0, to: 0 };
+        Self {
+            limit: MAX_LOOKS,
+            outlook: Outlook::new(mentor_states),
+            collecting: Scratch::default(),
+            wanted: Vec::new(),
+            goals: Vec::new(),
+            limits: Vec::new(),
+            ends: Ends {
+                steps: vec![NEVER; mentor_states],
+                kl: vec![f32::INFINITY; mentor_states],
+                touched: Vec::new(),
+            },
+            starts: Starts {
+                steps: vec![NEVER; mentor_transitions],
+                first: vec![nowhere; mentor_transitions],
+                touched: Vec::new(),
+            },
+            reached: Marks::default(),
+            continued: Marks::default(),
+            onward: Marks::default(),
+            entered: Marks::default(),
+            left: Marks::default(),
+            level: Vec::new(),
+            next_level: Vec::new(),
+            next_reached: Vec::new(),
+            back: Vec::new(),
+            next_back: Vec::new(),
+            slots: Vec::new(),
+            stack: Vec::new(),
+            hits: Vec::new(),
+            to_hits: Vec::new(),
+            cut_short: 0,
+        }
+    }
+
+    /// Searches that met their limit so far.
+    pub fn cut_short(&self) -> u64 {
+        self.cut_short
+    }
+
+    /// Transitions have been stored, or annotations replaced, without [`Search::run`].
+    pub fn forget(&mut self) {
+        self.outlook.forget();
+        self.collecting.forget();
+    }
+
+    /// Looks for bridges through a new transition and improves `table`. `improved` is called with each mentor
+    /// transition whose bridge was replaced. Must be called for each transition that is stored, but for those before
+    /// [`Search::forget`]. False if the search met its limit.
+    pub fn run(
+        &mut self,
+        new: &Arrival<'_>,
+        path: &Path<'_>,
+        table: &mut AnnotationTable,
+        mut improved: impl FnMut(usize),
+    ) -> bool {
+        let Arrival { states, t, graph, oldest, .. } = *new;
+        let (from, to) = (states.whitened(t.from), states.whitened(t.to));
+        path.similarity.states(from, &mut self.stack, &mut self.hits);
+        path.similarity.states(to, &mut self.stack, &mut self.to_hits);
+        self.outlook.add(new.index, t.reward, &self.hits, &self.to_hits);
+        if new.news == News::Nothing {
+            return true;
+        }
+        let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
+        let newest = Newest {
+            from,
+            to,
+            reward: t.reward,
+            starts: &self.hits,
+            ends: &self.to_hits,
+            path,
+            stock: Stock { states, graph, oldest },
+            reach,
+        };
+        newest.collect(table, &mut self.outlook, &mut self.collecting, &mut self.wanted);
+        if self.wanted.is_empty() {
+            return true;
+        }
+        let mut ahead = Side::new(!t.ends_episode(), self.limit);
+        let mut behind = Side::new(new.news == News::Link, self.limit);
+        self.begin(new);
+        while self.choose(&ahead, &behind, path) {
+            let (forward, backward) =
+                (self.wanted.iter().any(|w| !w.ended), self.wanted.iter().any(|w| !w.started));
+            // Nothing has been marked before the first level.
+            if ahead.steps + behind.steps == 0 {
+                let Self { reached, continued, onward, entered, left, .. } = self;
+                [reached, continued, onward, entered, left].into_iter().for_each(|m| m.begin(states.bound()));
+                self.slots.resize(states.bound().max(self.slots.len()), 0);
+                self.reached.first_time(t.to);
+                self.continued.first_time(t.to);
+                self.left.first_time(t.from);
+            }
+            if backward && (!forward || self.back.len() < self.level.len()) {
+                self.backward(new, &mut behind, path, &reach, table);
+            } else {
+                self.forward(new, &mut ahead, path, &reach);
+            }
+        }
+        let cut_short = ahead.exhausted() || behind.exhausted();
+        self.cut_short += u64::from(cut_short);
+        self.join(new, path, table, &mut improved);
+        self.ends.clear();
+        self.starts.clear();
+        !cut_short
+    }
+
+    /// What t itself reaches, and where it begins.
+    fn begin(&mut self, new: &Arrival<'_>) {
+        let t = new.t;
+        self.level.clear();
+        self.level.push(t.to);
+        self.to_hits.iter().for_each(|hit| self.ends.note(hit, 0));
+        let first = First { action: t.action, reward: t.reward, to: t.to };
+        self.back.clear();
+        self.back.push((t.from, first));
+        for w in self.wanted.iter().filter(|w| w.started) {
+            self.starts.note(w.j, 0, first, new.states);
+        }
+    }
+
+    /// Brings what is wanted up to date with what both sides have found, and drops what is found or out of reach.
+    /// Whether anything is left to look for.
+    fn choose(&mut self, ahead: &Side, behind: &Side, path: &Path<'_>) -> bool {
+        let Self { wanted, starts, ends, .. } = self;
+        wanted.retain_mut(|w| {
+            let found = starts.steps[w.j as usize];
+            w.started = found != NEVER;
+            w.before = if w.started { found } else { w.before.max(behind.steps as u32 + 1) };
+            let ahead_of = path.order.ahead(w.j as usize, path.rule.n);
+            let found = ahead_of.map(|m| ends.steps[m]).min().unwrap_or(NEVER);
+            w.ended = found != NEVER;
+            w.after = if w.ended { found } else { w.after.max(ahead.steps as u32 + 1) };
+            let open = (w.started || behind.open) && (w.ended || ahead.open);
+            !(w.started && w.ended) && open && w.is_possible()
+        });
+        !wanted.is_empty()
+    }
+
+    /// The next level of states after t.
+    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: &Reach) {
+        let Arrival { states, graph, .. } = *new;
+        let next = side.steps as u32 + 1;
+        let Self { goals, limits, wanted, ends, stack, hits, .. } = self;
+        let few = forward_goals(wanted, path, reach, FEW, goals);
+        limits.clear();
+        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+        let Self { reached, continued, onward, level, next_level, next_reached, .. } = self;
+        next_level.clear();
+        next_reached.clear();
+        for &y in level.iter() {
+            similar(graph, states, y, path, side, |z, side| {
+                if !onward.first_time(z) {
+                    return;
+                }
+                side.look(graph.outgoing(z).len());
+                for link in graph.outgoing(z) {
+                    if reached.first_time(link.to) {
+                        next_reached.push(link.to);
+                    }
+                    if link.continues()
+                        && continued.first_time(link.to)
+                        && (!few || within(states.whitened(link.to), limits, path))
+                    {
+                        next_level.push(link.to);
+                    }
+                }
+            });
+        }
+        side.steps += 1;
+        side.open = !side.exhausted() && !next_level.is_empty();
+        if side.exhausted() {
+            return;
+        }
+        for &id in next_reached.iter() {
+            let state = states.whitened(id);
+            if few {
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+            } else {
+                path.similarity.states(state, stack, hits);
+            }
+            hits.iter().for_each(|hit| ends.note(hit, next));
+        }
+        std::mem::swap(level, next_level);
+    }
+
+    /// The next level of states before t.
+    fn backward(
+        &mut self,
+        new: &Arrival<'_>,
+        side: &mut Side,
+        path: &Path<'_>,
+        reach: &Reach,
+        table: &AnnotationTable,
+    ) {
+        let Arrival { states, graph, .. } = *new;
+        let next = side.steps as u32 + 1;
+        let Self { goals, limits, wanted, starts, stack, hits, .. } = self;
+        let few = backward_goals(wanted, path, reach, FEW, goals);
+        limits.clear();
+        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+        let Self { entered, left, back, next_back, slots, .. } = self;
+        next_back.clear();
+        for &(z, _) in back.iter() {
+            similar(graph, states, z, path, side, |y, side| {
+                if !entered.first_time(y) {
+                    return;
+                }
+                side.look(graph.incoming(y).len());
+                for link in graph.incoming(y) {
+                    let Some((action, reward)) = link.best_continuing() else { continue };
+                    let (x, first) = (link.from, First { action, reward, to: y });
+                    if left.first_time(x) {
+                        slots[x as usize] = next_back.len() as u32;
+                        next_back.push((x, first));
+                    } else if let Some((at, known)) = next_back.get_mut(slots[x as usize] as usize)
+                        && *at == x
+                        && first.beats(known, states)
+                    {
+                        *known = first;
+                    }
+                }
+            });
+        }
+        side.steps += 1;
+        side.open = !side.exhausted();
+        if side.exhausted() {
+            return;
+        }
+        for &(id, first) in next_back.iter() {
+            let state = states.whitened(id);
+            if few {
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+            } else {
+                path.similarity.states(state, stack, hits);
+            }
+            for (j, _) in transitions(hits, path.order) {
+                if table.errors()[j] >= path.rule.e_infeas {
+                    starts.note(j as u32, next, first, states);
+                }
+            }
+        }
+        next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
+        side.open = !next_back.is_empty();
+        std::mem::swap(back, next_back);
+    }
+
+    /// Puts beginnings and ends together.
+    fn join(
+        &self,
+        new: &Arrival<'_>,
+        path: &Path<'_>,
+        table: &mut AnnotationTable,
+        improved: &mut impl FnMut(usize),
+    ) {
+        for &j in &self.starts.touched {
+            let j = j as usize;
+            let mut end = (NEVER, f32::INFINITY);
+            for m in path.order.ahead(j, path.rule.n) {
+                if (self.ends.steps[m], self.ends.kl[m]) < end {
+                    end = (self.ends.steps[m], self.ends.kl[m]);
+                }
+            }
+            if end.0 == NEVER || (self.starts.steps[j] + 1 + end.0) as usize > path.rule.k {
+                continue;
+            }
+            let first = &self.starts.first[j];
+            let found = Bridge {
+                action: first.action,
+                length: self.starts.steps[j] + 1 + end.0,
+                reward: first.reward,
+                end_kl: end.1,
+                next_obs: new.states.raw(first.to),
+                // A first step with another behind it did not end its episode.
+                terminated: self.starts.steps[j] == 0 && new.t.terminated(),
+            };
+            let place = Place { first: self.starts.steps[j] == 0, last: end.0 == 0 };
+            if improve(table, j, &found, place) {
+                improved(j);
+            }
+        }
+    }
+}
+
+impl Ends {
+    /// A path has arrived near a mentor state after `steps` steps.
+    fn note(&mut self, hit: &Hit, steps: u32) {
+        let m = hit.state as usize;
+        if self.steps[m] == NEVER {
+            self.touched.push(hit.state);
+        }
+        if (steps, hit.kl) < (self.steps[m], self.kl[m]) {
+            (self.steps[m], self.kl[m]) = (steps, hit.kl);
+        }
+    }
+
+    /// Forgets everything.
+    fn clear(&mut self) {
+        let Self { steps, kl, touched } = self;
+        touched.drain(..).for_each(|m| (steps[m as usize], kl[m as usize]) = (NEVER, f32::INFINITY));
+    }
+}
+
+impl Starts {
+    /// A path to t, of `steps` steps before it, begins near the beginning of mentor transition `j` with `first`.
+    fn note(&mut self, j: u32, steps: u32, first: First, states: &States) {
+        let at = j as usize;
+        let known = self.steps[at];
+        if known == NEVER {
+            self.touched.push(j);
+        }
+        if steps < known || (steps == known && first.beats(&self.first[at], states)) {
+            (self.steps[at], self.first[at]) = (steps, first);
+        }
+    }
+
+    /// Forgets everything.
+    fn clear(&mut self) {
+        let Self { steps, touched, .. } = self;
+        touched.drain(..).for_each(|j| steps[j as usize] = NEVER);
+    }
+}
+
+/// Whether `state` is near enough to one of the mentor states in `limits`.
+fn within(state: &[f32], limits: &[(u32, f32)], path: &Path<'_>) -> bool {
+    limits.iter().any(|&(m, limit)| kl(state, path.similarity.state(m as usize)) <= limit)
+}

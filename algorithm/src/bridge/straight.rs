@@ -1,0 +1,60 @@
+//! Straight bridges: the newest transition as the last step of a path of predecessors.
+//!
+//! Such a path is a stretch of one actor's episode, so its beginning is one of the last k transitions. This finds every
+//! bridge that cross-referencing is not needed for, at a cost of k look-ups at most.
+
+use super::{Path, Place, improve};
+use crate::demonstration::transitions;
+use crate::history::History;
+use crate::similarity::Hit;
+use trestle_proto::annotation::{AnnotationTable, Bridge};
+
+/// Working memory.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    stack: Vec<u32>,
+    starts: Vec<Hit>,
+    ends: Vec<Hit>,
+}
+
+/// Looks for bridges that end with transition `index`, the newest of `history`, and improves `table`. `improved` is
+/// called with each mentor transition whose bridge was replaced, perhaps more than once.
+pub fn search(
+    history: &History,
+    index: u64,
+    path: &Path<'_>,
+    table: &mut AnnotationTable,
+    scratch: &mut Scratch,
+    mut improved: impl FnMut(usize),
+) {
+    let Scratch { stack, starts, ends } = scratch;
+    let states = &history.states;
+    path.similarity.states(states.whitened(history.get(index).to), stack, ends);
+    if ends.is_empty() {
+        return;
+    }
+    let mut first = Some(index);
+    for length in 1..=path.rule.k {
+        let Some(at) = first else { return };
+        let step = history.get(at);
+        path.similarity.states(states.whitened(step.from), stack, starts);
+        for (j, _) in transitions(starts, path.order) {
+            if table.errors()[j] < path.rule.e_infeas {
+                continue;
+            }
+            let Some(end_kl) = path.nearest_end(j, ends) else { continue };
+            let found = Bridge {
+                action: step.action,
+                length: length as u32,
+                reward: step.reward,
+                end_kl,
+                next_obs: states.raw(step.to),
+                terminated: step.terminated(),
+            };
+            if improve(table, j, &found, Place { first: length == 1, last: true }) {
+                improved(j);
+            }
+        }
+        first = history.predecessor(at);
+    }
+}

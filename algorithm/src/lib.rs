@@ -1,0 +1,29 @@
+//! The paper's algorithm, as plain functions over plain data. Nothing here sends, waits, or reads a clock.
+//!
+//! In reading order; every module names the equations, figures and choices that it stands for:
+//!
+//! 1. [`similarity`]: the distance of two states, and the mentor states near a state;
+//! 2. [`demonstration`]: the mentor's states; [`summary`]: the thresholds that follow from them;
+//! 3. [`history`] and [`states`]: the observer's transitions, as inference and bridges look at them;
+//! 4. [`inference`]: which action the mentor probably took (a_est), and how good the guess is (e_KL);
+//! 5. [`bridge`]: other ways from a mentor state back onto the mentor's path;
+//! 6. [`mentor`]: these together, one batch of transitions after the other;
+//! 7. [`losses`]: the observer's loss, the mentor's, and the choice between them;
+//! 8. [`replay`] and [`shaping`]: what a gradient step draws from;
+//! 9. [`agent`]: the gradient step and all that it changes.
+
+pub mod agent;
+pub mod bridge;
+pub mod demonstration;
+pub mod history;
+pub mod inference;
+pub mod losses;
+pub mod mentor;
+pub mod replay;
+pub mod shaping;
+pub mod similarity;
+pub mod states;
+pub mod summary;
+
+#[cfg(test)]
+mod testing;

@@ -1,0 +1,220 @@
+//! An actor's end of the transport.
+
+use super::services::Services;
+use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
+use crate::pulse;
+use crate::{ActorLink, LinkError, Stop};
+use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::AllocationStrategy;
+use std::time::{Duration, Instant};
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::limits::{HANDSHAKE, HELLO_INTERVAL};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::reply::{Reply, ReplyHeader};
+use trestle_proto::tick::Tick;
+use trestle_proto::weights::WeightsHeader;
+
+/// Room made in advance for a reply, bytes; a larger one makes the memory grow.
+const REPLY_BYTES: usize = 4096;
+
+/// An actor over shared memory.
+#[derive(Debug)]
+pub struct IceoryxActor {
+    index: usize,
+    weights: Subscriber<Ipc, [f32], Wire<WeightsHeader>>,
+    /// Generation and version of the newest weights received, and they themselves, kept because a tick may name them again.
+    newest: Option<(u32, u64)>,
+    copy: Vec<f32>,
+    ticks: Subscriber<Ipc, Wire<Tick>, ()>,
+    /// In free mode.
+    orders: Option<Subscriber<Ipc, Wire<Orders>, ()>>,
+    transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
+    replies: Publisher<Ipc, [u8], Wire<ReplyHeader>>,
+    listener: Listener<Ipc>,
+    learner: Notifier<Ipc>,
+    services: Services,
+}
+
+impl IceoryxActor {
+    /// Opens the run's services and creates the ports of actor `index`.
+    pub fn new(domain: &Domain, plan: &RunPlan, index: u32) -> Result<Self, LinkError> {
+        let services = Services::open(domain, plan)?;
+        let transitions = services
+            .transitions
+            .publisher_builder()
+            .initial_max_slice_len(services.sizes.batch_words)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the publisher of transitions"))?;
+        let replies = services
+            .replies
+            .publisher_builder()
+            .initial_max_slice_len(REPLY_BYTES)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the publisher of replies"))?;
+        Ok(Self {
+            index: index as usize,
+            weights: services
+                .weights
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of weights"))?,
+            newest: None,
+            copy: vec![0.0; services.sizes.weights],
+            ticks: services
+                .ticks
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of ticks"))?,
+            orders: services
+                .orders
+                .as_ref()
+                .map(|orders| orders.subscriber_builder().create())
+                .transpose()
+                .map_err(failed("creating the subscriber of orders"))?,
+            transitions,
+            replies,
+            listener: wake::listener(&services.wake_actors)?,
+            learner: wake::notifier(&services.wake_learner)?,
+            services,
+        })
+    }
+
+    fn try_tick(&self) -> Result<Option<Tick>, LinkError> {
+        let Some(sample) = self.ticks.receive().map_err(failed("receiving a tick"))? else {
+            return Ok(None);
+        };
+        let tick = sample.payload().0;
+        tick.validate(self.services.run)?;
+        Ok(Some(tick))
+    }
+
+    fn try_orders(&self) -> Result<Option<Orders>, LinkError> {
+        let Some(subscriber) = &self.orders else {
+            return Err(LinkError::Unexpected("waiting for orders in lockstep".into()));
+        };
+        let Some(sample) = subscriber.receive().map_err(failed("receiving orders"))? else {
+            return Ok(None);
+        };
+        let orders = sample.payload().0;
+        orders.validate(self.services.run)?;
+        Ok(Some(orders))
+    }
+
+    /// Takes over the weights that have come since the last time.
+    fn update_weights(&mut self) -> Result<(), LinkError> {
+        while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
+            let header = sample.user_header().0;
+            // What a learner published before it died may come after its successor's.
+            if self.newest.is_some_and(|(generation, _)| generation > header.generation) {
+                continue;
+            }
+            let (run, network) = (self.services.run, &self.services.sizes.network);
+            header.receive(run, network, sample.payload(), &mut self.copy)?;
+            self.newest = Some((header.generation, header.version));
+        }
+        Ok(())
+    }
+}
+
+impl ActorLink for IceoryxActor {
+    fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        let start = Instant::now();
+        // A welcome of before is not meant.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        let mut welcome = false;
+        while !welcome {
+            if stop() {
+                return Err(LinkError::Interrupted("the learner"));
+            }
+            // In free mode the learner may be busy for long.
+            if self.orders.is_none() && start.elapsed() > HANDSHAKE {
+                return Err(LinkError::Deadline {
+                    peer: "learner".into(),
+                    what: "hello",
+                    waited_ms: HANDSHAKE.as_millis(),
+                });
+            }
+            pulse::step();
+            wake::notify(&self.learner, wake::HELLO + self.index)?;
+            let mine = wake::WELCOME + self.index;
+            wake::sleep(&self.listener, HELLO_INTERVAL, |event| welcome |= event == mine)?;
+        }
+        self.weights.update_connections().map_err(failed("mapping the weights"))?;
+        self.ticks.update_connections().map_err(failed("mapping the ticks"))?;
+        if let Some(orders) = &self.orders {
+            orders.update_connections().map_err(failed("mapping the orders"))?;
+        }
+        self.transitions.update_connections().map_err(failed("mapping the learner"))?;
+        self.replies.update_connections().map_err(failed("mapping the learner"))?;
+        wake::notify(&self.learner, wake::READY + self.index)
+    }
+
+    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError> {
+        wake::wait(&self.listener, timeout, || self.try_tick())
+    }
+
+    fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
+        // An actor that is always busy must take notifications, too.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        wake::wait(&self.listener, timeout, || self.try_orders())
+    }
+
+    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
+        self.update_weights()?;
+        let newest = self.newest.filter(|(of, _)| *of == generation);
+        Ok(newest.map(|(_, version)| (version, &*self.copy)))
+    }
+
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
+        self.update_weights()?;
+        match self.newest {
+            Some((_, found)) if found == version => Ok(&self.copy),
+            Some((_, found)) => {
+                Err(trestle_proto::weights::WeightsError::Version { found, expected: version }.into())
+            }
+            None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
+        }
+    }
+
+    fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
+        let mut sample = self
+            .transitions
+            .loan_slice_uninit(batch.payload().len())
+            .map_err(failed("loaning memory for a batch"))?
+            .write_from_slice(batch.payload());
+        sample.user_header_mut().0 = batch.header;
+        let found = sample.send().map_err(failed("sending a batch"))?;
+        delivered("a batch", found)?;
+        wake::notify(&self.learner, wake::DATA)
+    }
+
+    fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError> {
+        let mut sample = self
+            .replies
+            .loan_slice_uninit(reply.payload.len())
+            .map_err(failed("loaning memory for a reply"))?
+            .write_from_slice(&reply.payload);
+        sample.user_header_mut().0 = reply.header;
+        let found = sample.send().map_err(failed("sending a reply"))?;
+        delivered("a reply", found)?;
+        wake::notify(&self.learner, wake::DATA)
+    }
+}
+
+/// A message to the learner has one receiver: less means that it is gone.
+fn delivered(what: &'static str, found: usize) -> Result<(), LinkError> {
+    if found == 1 { Ok(()) } else { Err(LinkError::Receivers { what, found, expected: 1 }) }
+}

@@ -1,0 +1,341 @@
+//! The learner's end of the transport.
+
+use super::query::{self, ask};
+use super::services::{MENTOR_PEER, Services};
+use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
+use crate::pulse;
+use crate::{FromActor, LearnerLink, LinkError, Stop};
+use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use std::time::{Duration, Instant};
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
+use trestle_proto::reply::{Reply, ReplyHeader};
+use trestle_proto::tick::Tick;
+use trestle_proto::weights::WeightsHeader;
+
+/// The learner over shared memory.
+#[derive(Debug)]
+pub struct IceoryxLearner {
+    transitions: Subscriber<Ipc, [u32], Wire<BatchHeader>>,
+    replies: Subscriber<Ipc, [u8], Wire<ReplyHeader>>,
+    weights: Publisher<Ipc, [f32], Wire<WeightsHeader>>,
+    ticks: Publisher<Ipc, Wire<Tick>, ()>,
+    /// In free mode.
+    orders: Option<Publisher<Ipc, Wire<Orders>, ()>>,
+    observe: Client<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
+    query: query::Port,
+    listener: Listener<Ipc>,
+    actors: Notifier<Ipc>,
+    mentor: Notifier<Ipc>,
+    mentor_waits: bool,
+    generation: u16,
+    services: Services,
+}
+
+impl IceoryxLearner {
+    /// Opens the run's services and creates the learner's ports.
+    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        let services = Services::open(domain, plan)?;
+        let sizes = &services.sizes;
+        let weights = services
+            .weights
+            .publisher_builder()
+            .initial_max_slice_len(sizes.weights)
+            .max_loaned_samples(1)
+            .create()
+            .map_err(failed("creating the publisher of weights"))?;
+        let ticks = services
+            .ticks
+            .publisher_builder()
+            .max_loaned_samples(1)
+            // An actor never has as many ticks before it as its buffer holds. Whoever else listens and does not read must keep
+            // nobody waiting.
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(failed("creating the publisher of ticks"))?;
+        let orders =
+            services.orders.as_ref().map(|orders| orders.publisher_builder().max_loaned_samples(1).create());
+        let orders = orders.transpose().map_err(failed("creating the publisher of orders"))?;
+        let observe = services
+            .observe
+            .client_builder()
+            .initial_max_slice_len(sizes.observe_request_words())
+            .set_backpressure_handler(give_up_in_time)
+            .create()
+            .map_err(failed("creating the client of mentor/observe"))?;
+        Ok(Self {
+            transitions: services
+                .transitions
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of transitions"))?,
+            replies: services
+                .replies
+                .subscriber_builder()
+                .create()
+                .map_err(failed("creating the subscriber of replies"))?,
+            weights,
+            ticks,
+            orders,
+            observe,
+            query: query::port(&services)?,
+            listener: wake::listener(&services.wake_learner)?,
+            actors: wake::notifier(&services.wake_actors)?,
+            mentor: wake::notifier(&services.wake_mentor)?,
+            mentor_waits: false,
+            generation: plan.generation,
+            services,
+        })
+    }
+
+    /// Maps who has come, and lets go of who has gone: what is mapped of a dead process stays in shared memory.
+    fn connect(&mut self) -> Result<(), LinkError> {
+        self.observe.update_connections().map_err(failed("mapping the mentor-server"))?;
+        self.query.update_connections().map_err(failed("mapping the mentor-server"))?;
+        self.transitions.update_connections().map_err(failed("mapping an actor"))?;
+        self.replies.update_connections().map_err(failed("mapping an actor"))?;
+        self.weights.update_connections().map_err(failed("mapping an actor"))?;
+        if let Some(orders) = &self.orders {
+            orders.update_connections().map_err(failed("mapping an actor"))?;
+        }
+        self.ticks.update_connections().map_err(failed("mapping an actor"))
+    }
+
+    /// Waits until each of `missing` has announced itself, `patience` at the most, and maps all peers. In free mode it calls
+    /// the mentor-server, which may have been let in by another learner before.
+    fn let_in(
+        &mut self,
+        mut missing: Vec<usize>,
+        patience: Duration,
+        stop: Stop<'_>,
+    ) -> Result<(), LinkError> {
+        let start = Instant::now();
+        let mut calling = self.orders.is_some();
+        while !missing.is_empty() {
+            if stop() {
+                return Err(LinkError::Interrupted("actors and mentor-server"));
+            }
+            if calling {
+                wake::notify(&self.mentor, wake::ROLL_CALL)?;
+            }
+            if start.elapsed() > patience {
+                let name = |p: &usize| {
+                    if *p == MENTOR_PEER { "mentor-server".into() } else { format!("actor {p}") }
+                };
+                return Err(LinkError::Deadline {
+                    peer: missing.iter().map(name).collect::<Vec<_>>().join(", "),
+                    what: "welcome",
+                    waited_ms: patience.as_millis(),
+                });
+            }
+            pulse::step();
+            let mut hello = Vec::new();
+            wake::sleep(&self.listener, WAIT_SLICE, |event| match event {
+                wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
+                wake::READY..wake::CREATED => missing.retain(|p| *p != event - wake::READY),
+                _ => {}
+            })?;
+            for peer in hello {
+                calling &= peer != MENTOR_PEER;
+                self.answer_hello(peer)?;
+            }
+        }
+        // A last hello may have come together with the ready that follows it.
+        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        self.mentor_waits = false;
+        // Peers that became ready have created nothing since, so this maps all of them.
+        self.connect()
+    }
+
+    fn answer_hello(&mut self, peer: usize) -> Result<(), LinkError> {
+        self.connect()?;
+        let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
+        wake::notify(notifier, wake::WELCOME + peer)
+    }
+
+    /// Sleeps until notified or until `timeout` is over. Lets actors in that come late; a mentor-server that does so has no
+    /// history, and must wait until it can be given one.
+    fn sleep(&mut self, timeout: Duration) -> Result<(), LinkError> {
+        let (mut hello, mut ready) = (Vec::new(), false);
+        wake::sleep(&self.listener, timeout, |event| match event {
+            wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
+            wake::READY..wake::CREATED => ready = true,
+            _ => {}
+        })?;
+        for peer in hello {
+            if peer == MENTOR_PEER {
+                self.mentor_waits = self.orders.is_some();
+            } else {
+                self.answer_hello(peer)?;
+            }
+        }
+        if ready { self.connect() } else { Ok(()) }
+    }
+
+    /// Polls until `poll` gives something or `timeout` is over, asleep in between.
+    fn wait<T>(
+        &mut self,
+        timeout: Duration,
+        mut poll: impl FnMut(&Self) -> Result<Option<T>, LinkError>,
+    ) -> Result<Option<T>, LinkError> {
+        let start = Instant::now();
+        loop {
+            if let Some(found) = poll(self)? {
+                return Ok(Some(found));
+            }
+            let left = timeout.saturating_sub(start.elapsed());
+            // Also without time to wait: whoever is always busy must take notifications, too.
+            self.sleep(left.min(WAIT_SLICE))?;
+            if left.is_zero() {
+                return poll(self);
+            }
+        }
+    }
+
+    fn try_recv(&self, batches: &mut [Batch]) -> Result<Option<FromActor>, LinkError> {
+        // Replies first: an actor answers an evaluation before it sends the batch of the tick after.
+        if let Some(sample) = self.replies.receive().map_err(failed("receiving a reply"))? {
+            let header = sample.user_header().0;
+            let known = header.run == self.services.run && (header.actor as usize) < batches.len();
+            if !known || sample.payload().len() > MAX_REPLY_BYTES {
+                return Err(LinkError::Unexpected(format!("reply {header:?}")));
+            }
+            return Ok(Some(FromActor::Reply(Reply { header, payload: sample.payload().to_vec() })));
+        }
+        let Some(sample) = self.transitions.receive().map_err(failed("receiving a batch"))? else {
+            return Ok(None);
+        };
+        let header = sample.user_header().0;
+        let slot = batches.get_mut(header.actor as usize).filter(|_| header.run == self.services.run);
+        let slot = slot.ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
+        let sizes = &self.services.sizes;
+        slot.receive(header, sample.payload(), sizes.obs_dim, sizes.n_actions)?;
+        Ok(Some(FromActor::Batch(header.actor)))
+    }
+}
+
+impl LearnerLink for IceoryxLearner {
+    fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        let mut missing: Vec<usize> = Vec::new();
+        if self.services.sizes.mentor_len > 0 {
+            missing.push(MENTOR_PEER);
+        }
+        if self.orders.is_some() {
+            return self.let_in(missing, Duration::MAX, stop);
+        }
+        missing.extend(0..self.services.sizes.actors);
+        self.let_in(missing, HANDSHAKE, stop)
+    }
+
+    fn mentor_waits(&self) -> bool {
+        self.mentor_waits
+    }
+
+    fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        self.let_in(vec![MENTOR_PEER], Duration::MAX, stop)
+    }
+
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
+        let publisher =
+            self.orders.as_ref().ok_or_else(|| LinkError::Unexpected("orders in lockstep".into()))?;
+        publisher.send_copy(Wire(*orders)).map_err(failed("sending orders"))?;
+        wake::notify(&self.actors, wake::DATA)
+    }
+
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
+        let mut sample = self
+            .weights
+            .loan_slice_uninit(weights.len())
+            .map_err(failed("loaning memory for weights"))?
+            .write_from_slice(weights);
+        let sizes = &self.services.sizes;
+        sample.user_header_mut().0 =
+            WeightsHeader::new(self.services.run, self.generation, version, &sizes.network, weights);
+        let found = sample.send().map_err(failed("sending weights"))?;
+        if self.orders.is_some() { Ok(()) } else { delivered("a set of weights", found, sizes.actors) }
+    }
+
+    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
+        let found = self.ticks.send_copy(Wire(*tick)).map_err(failed("sending a tick"))?;
+        delivered("a tick", found, self.services.sizes.actors)?;
+        wake::notify(&self.actors, wake::DATA)
+    }
+
+    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+        self.wait(timeout, |link| link.try_recv(batches))
+    }
+
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        payload: &[u32],
+        into: &mut Observed,
+    ) -> Result<(), LinkError> {
+        const WHAT: &str = "a batch for its history";
+        const REQUEST: &str = "a request to mentor/observe";
+        const LOST: LinkError = LinkError::Receivers { what: REQUEST, found: 0, expected: 1 };
+        if self.mentor_waits {
+            return Err(LOST);
+        }
+        let mut sending = self
+            .observe
+            .loan_slice_uninit(payload.len())
+            .map_err(failed("loaning memory for a request"))?
+            .write_from_slice(payload);
+        sending.user_header_mut().0 = *request;
+        let pending = sending.send().map_err(failed("sending a request to mentor/observe"))?;
+        delivered(REQUEST, pending.number_of_server_connections(), 1)?;
+        wake::notify(&self.mentor, wake::DATA)?;
+        let start = Instant::now();
+        let answer = loop {
+            let answer = self.wait(WAIT_SLICE, |link| {
+                // Asked first: an answer may come, and end the connection, in between.
+                let connected = pending.is_connected() && !link.mentor_waits;
+                let answer = pending.receive().map_err(failed("receiving from mentor/observe"))?;
+                if answer.is_none() && !connected { Err(LOST) } else { Ok(answer) }
+            })?;
+            if let Some(answer) = answer {
+                break answer;
+            }
+            // In free mode it is the supervisor that notices when it hangs, and replaces it.
+            if self.orders.is_none() && start.elapsed() > OBSERVE_DEADLINE {
+                return Err(LinkError::Deadline {
+                    peer: "mentor-server".into(),
+                    what: WHAT,
+                    waited_ms: OBSERVE_DEADLINE.as_millis(),
+                });
+            }
+            pulse::step();
+        };
+        let header = answer.user_header().0;
+        if header.status != trestle_proto::query::OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        let sizes = &self.services.sizes;
+        Ok(into.receive(&header, answer.payload(), sizes.obs_dim, sizes.mentor_len)?)
+    }
+
+    fn query(
+        &mut self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+    ) -> Result<QueryAnswer, LinkError> {
+        ask(&self.query, &self.mentor, &self.listener, request, payload, into, QUERY_DEADLINE)
+    }
+}
+
+/// Fewer receivers than processes means that one of them is gone. Who listens besides is no business of the run's.
+fn delivered(what: &'static str, found: usize, expected: usize) -> Result<(), LinkError> {
+    if found >= expected { Ok(()) } else { Err(LinkError::Receivers { what, found, expected }) }
+}

@@ -1,0 +1,352 @@
+//! Every service of a run with all its limits. The supervisor creates and holds them; the other processes open them,
+//! because a process that dies while it creates a service would leave it unusable.
+
+use super::{Domain, Ipc, Wire, failed, wake};
+use crate::LinkError;
+use iceoryx2::prelude::{EventId, Node};
+use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
+use trestle_proto::annotation::record_words;
+use trestle_proto::batch::{self, BatchHeader};
+use trestle_proto::config::Mode;
+use trestle_proto::limits::{
+    MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
+};
+use trestle_proto::mentor::transition_words;
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{QueryAnswer, QueryRequest};
+use trestle_proto::reply::ReplyHeader;
+use trestle_proto::tick::Tick;
+use trestle_proto::weights::WeightsHeader;
+
+/// The mentor-server's number among the peers that say hello; the actors have those below.
+pub(super) const MENTOR_PEER: usize = MAX_ACTORS as usize;
+/// Processes besides actors and query clients: supervisor, learner, mentor-server, and as many again while one is
+/// replaced.
+const OTHER_NODES: usize = 6;
+/// Shared memory that the buffered batches of one actor may take, bytes; fewer are buffered if they are larger.
+const TRANSITIONS_BYTES: usize = 32 << 20;
+
+/// What a run's messages measure, derived from its plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sizes {
+    /// Actors.
+    pub actors: usize,
+    /// Features of an observation.
+    pub obs_dim: usize,
+    /// Actions.
+    pub n_actions: usize,
+    /// Units of the network's layers.
+    pub network: Vec<u32>,
+    /// Words of a batch.
+    pub batch_words: usize,
+    /// Parameters of the network, and the entries of the guide behind them.
+    pub weights: usize,
+    /// Transitions of the demonstration; 0 without a mentor.
+    pub mentor_len: usize,
+    /// In free mode, batches of an actor that may be on their way.
+    pub window: Option<usize>,
+}
+
+impl Sizes {
+    /// The sizes of `plan`'s messages.
+    pub fn of(plan: &RunPlan) -> Self {
+        let network = plan.sizes();
+        let weights = network.windows(2).map(|w| w[0] * w[1] + w[1]).sum::<usize>() + plan.guide_len();
+        Self {
+            actors: plan.config.run.actors as usize,
+            obs_dim: plan.spec.obs_dim(),
+            n_actions: plan.spec.n_actions(),
+            network: network.into_iter().map(|n| n as u32).collect(),
+            batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
+            weights,
+            mentor_len: plan.mentor_len(),
+            window: (plan.config.run.mode == Mode::Free).then(|| plan.window() as usize),
+        }
+    }
+
+    /// Batches of an actor that may wait for the learner.
+    pub fn transitions_buffer(&self) -> usize {
+        if let Some(window) = self.window {
+            return window;
+        }
+        (TRANSITIONS_BYTES / (4 * self.batch_words)).clamp(2, TRANSITIONS_BUFFER)
+    }
+
+    /// Words of the largest request to `mentor/observe`.
+    pub fn observe_request_words(&self) -> usize {
+        self.batch_words.max(self.annotation_rows() * record_words(self.obs_dim))
+    }
+
+    /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
+    pub fn observe_answer_words(&self) -> usize {
+        self.batch_words + self.annotation_rows() * record_words(self.obs_dim)
+    }
+
+    /// Words of the largest answer of `mentor/query`.
+    pub fn query_answer_words(&self) -> usize {
+        let row = record_words(self.obs_dim).max(transition_words(self.obs_dim)).max(8);
+        self.annotation_rows() * row
+    }
+
+    /// Annotations or mentor transitions that travel in one message.
+    pub fn annotation_rows(&self) -> usize {
+        self.mentor_len.clamp(1, MAX_QUERY_ROWS as usize)
+    }
+
+    /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
+    pub fn shared_memory_bytes(&self) -> u64 {
+        let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;
+        let weights = 4 * self.weights * 4;
+        let mentor = if self.mentor_len == 0 {
+            0
+        } else {
+            4 * 4 * (self.observe_request_words() + self.observe_answer_words() + self.query_answer_words())
+        };
+        const FIXED: usize = 8 << 20;
+        (batches + weights + mentor + FIXED) as u64
+    }
+}
+
+pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], Wire<BatchHeader>>;
+pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], Wire<WeightsHeader>>;
+pub(super) type Ticks = publish_subscribe::PortFactory<Ipc, Wire<Tick>, ()>;
+pub(super) type OrdersOf = publish_subscribe::PortFactory<Ipc, Wire<Orders>, ()>;
+pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], Wire<ReplyHeader>>;
+pub(super) type Observe =
+    request_response::PortFactory<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>;
+pub(super) type Query =
+    request_response::PortFactory<Ipc, [f32], Wire<QueryRequest>, [u32], Wire<QueryAnswer>>;
+pub(super) type Wake = event::PortFactory<Ipc>;
+
+/// All services of a run, opened. Whoever holds this keeps them in being.
+#[derive(Debug)]
+pub struct Services {
+    pub(super) sizes: Sizes,
+    pub(super) run: u64,
+    pub(super) transitions: Transitions,
+    pub(super) weights: Weights,
+    pub(super) ticks: Ticks,
+    /// In free mode.
+    pub(super) orders: Option<OrdersOf>,
+    pub(super) replies: Replies,
+    pub(super) observe: Observe,
+    pub(super) query: Query,
+    pub(super) wake_learner: Wake,
+    pub(super) wake_mentor: Wake,
+    pub(super) wake_actors: Wake,
+    pub(super) wake_clients: Wake,
+    /// Goes after everything that lives in it.
+    pub(super) node: Node<Ipc>,
+    /// Goes after everything that leaves a file.
+    _departure: Departure,
+}
+
+/// Removes a run whose supervisor is gone when it is dropped. Whoever joins a run holds one from before: the run may have
+/// ended, and been removed, while it joined.
+#[derive(Debug)]
+struct Departure(Domain);
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        // Not one that has no root yet: whoever comes too early must not remove what is being made.
+        if !self.0.is_dead() {
+            return;
+        }
+        if let Err(error) = self.0.remove() {
+            tracing::error!("cannot remove what the run shared: {error}; `trestle doctor --fix` can");
+        }
+    }
+}
+
+/// Ends a builder the one or the other way.
+macro_rules! finish {
+    ($builder:expr, $create:expr, $name:expr) => {{
+        let builder = $builder;
+        if $create {
+            builder.create().map_err(|e| LinkError::Transport {
+                what: concat!("creating service ", $name),
+                message: e.to_string(),
+            })
+        } else {
+            builder.open().map_err(|e| LinkError::Transport {
+                what: concat!("opening service ", $name),
+                message: e.to_string(),
+            })
+        }
+    }};
+}
+
+impl Services {
+    /// Creates every service of `plan`'s run; the supervisor alone does this.
+    pub fn create(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        Self::build(domain, plan, true)
+    }
+
+    /// Opens every service of `plan`'s run.
+    ///
+    /// # Errors
+    /// There is no supervisor that holds them; what is left of such a run is removed.
+    pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+        Self::build(domain, plan, false)
+    }
+
+    /// Removes what dead processes of the run left, so that others can take their places. False: something is left.
+    pub fn reap(&self) -> bool {
+        self.node.try_cleanup_dead_nodes().failed_cleanups == 0
+    }
+
+    fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
+        let departure = Departure(domain.clone());
+        if !domain.is_alive() {
+            return Err(failed("joining the run")("it is not in progress, or another user's"));
+        }
+        let node = domain.node().map_err(failed("joining the run"))?;
+        let sizes = Sizes::of(plan);
+        let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
+        let name =
+            |name: &str| format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"));
+        let transitions = finish!(
+            node.service_builder(&name("transitions")?)
+                .publish_subscribe::<[u32]>()
+                .user_header::<Wire<BatchHeader>>()
+                .max_publishers(sizes.actors * 2)
+                .max_subscribers(1)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(sizes.transitions_buffer())
+                .subscriber_max_borrowed_samples(1)
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "transitions"
+        )?;
+        let weights = finish!(
+            node.service_builder(&name("weights")?)
+                .publish_subscribe::<[f32]>()
+                .user_header::<Wire<WeightsHeader>>()
+                .max_publishers(1)
+                .max_subscribers(sizes.actors * 2)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(1)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(1)
+                .enable_safe_overflow(true),
+            create,
+            "weights"
+        )?;
+        let ticks = finish!(
+            node.service_builder(&name("ticks")?)
+                .publish_subscribe::<Wire<Tick>>()
+                .max_publishers(1)
+                .max_subscribers(sizes.actors * 2)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(TICKS_BUFFER)
+                .subscriber_max_borrowed_samples(1)
+                // No history: an old tick is no work for an actor that comes late.
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "ticks"
+        )?;
+        let orders = if sizes.window.is_some() {
+            Some(finish!(
+                node.service_builder(&name("orders")?)
+                    .publish_subscribe::<Wire<Orders>>()
+                    .max_publishers(1)
+                    .max_subscribers(sizes.actors * 2)
+                    .max_nodes(nodes)
+                    .subscriber_max_buffer_size(1)
+                    .subscriber_max_borrowed_samples(1)
+                    .history_size(1)
+                    .enable_safe_overflow(true),
+                create,
+                "orders"
+            )?)
+        } else {
+            None
+        };
+        let replies = finish!(
+            node.service_builder(&name("replies")?)
+                .publish_subscribe::<[u8]>()
+                .user_header::<Wire<ReplyHeader>>()
+                .max_publishers(sizes.actors * 2)
+                .max_subscribers(1)
+                .max_nodes(nodes)
+                .subscriber_max_buffer_size(REPLIES_BUFFER)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(0)
+                .enable_safe_overflow(false),
+            create,
+            "replies"
+        )?;
+        let observe = finish!(
+            node.service_builder(&name("mentor/observe")?)
+                .request_response::<[u32], [u32]>()
+                .request_user_header::<Wire<ObserveRequest>>()
+                .response_user_header::<Wire<ObserveAnswer>>()
+                .max_servers(1)
+                .max_clients(1)
+                .max_nodes(nodes)
+                .max_active_requests_per_client(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(false)
+                .enable_safe_overflow_for_responses(false)
+                .enable_fire_and_forget_requests(false),
+            create,
+            "mentor/observe"
+        )?;
+        let query = finish!(
+            node.service_builder(&name("mentor/query")?)
+                .request_response::<[f32], [u32]>()
+                .request_user_header::<Wire<QueryRequest>>()
+                .response_user_header::<Wire<QueryAnswer>>()
+                .max_servers(1)
+                .max_clients(MAX_QUERY_CLIENTS)
+                .max_nodes(nodes)
+                .max_active_requests_per_client(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(false)
+                .enable_safe_overflow_for_responses(false)
+                .enable_fire_and_forget_requests(false),
+            create,
+            "mentor/query"
+        )?;
+        let wake = |which: &'static str, listeners: usize| -> Result<Wake, LinkError> {
+            finish!(
+                node.service_builder(&name(which)?)
+                    .event()
+                    .max_listeners(listeners)
+                    .max_notifiers(nodes * 2)
+                    .max_nodes(nodes)
+                    .event_id_max_value(wake::LAST)
+                    .notifier_created_event(EventId::new(wake::CREATED))
+                    .notifier_dropped_event(EventId::new(wake::DROPPED))
+                    .notifier_dead_event(EventId::new(wake::DEAD)),
+                create,
+                "wake"
+            )
+        };
+        Ok(Self {
+            run: plan.run,
+            transitions,
+            weights,
+            ticks,
+            orders,
+            replies,
+            observe,
+            query,
+            wake_learner: wake("wake/learner", 2)?,
+            wake_mentor: wake("wake/mentor", 2)?,
+            wake_actors: wake("wake/actors", sizes.actors * 2)?,
+            wake_clients: wake("wake/clients", MAX_QUERY_CLIENTS)?,
+            node,
+            sizes,
+            _departure: departure,
+        })
+    }
+}

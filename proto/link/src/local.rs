@@ -1,0 +1,287 @@
+//! The transport within one process: bounded channels between threads. For tests of the roles' loops, and the proof
+//! that the interfaces do not depend on shared memory.
+//!
+//! Messages are checked by the same code as those of shared memory.
+
+use crate::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorLink, Stop};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::limits::{
+    OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
+};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::query::{OK, QueryAnswer, QueryRequest, status_text};
+use trestle_proto::reply::Reply;
+use trestle_proto::tick::Tick;
+use trestle_proto::weights::{WeightsError, WeightsHeader};
+
+type Weights = Arc<Mutex<Option<(WeightsHeader, Vec<f32>)>>>;
+
+/// The newest orders and how many there have been.
+#[derive(Default)]
+struct Newest {
+    orders: Mutex<(u64, Orders)>,
+    changed: Condvar,
+}
+
+enum ToLearner {
+    Batch(BatchHeader, Vec<u32>),
+    Reply(Reply),
+}
+
+enum Request {
+    Observe(ObserveRequest, Vec<u32>, SyncSender<(ObserveAnswer, Vec<u32>)>),
+    Query(QueryRequest, Vec<f32>, SyncSender<(QueryAnswer, Vec<u32>)>),
+}
+
+/// An actor over channels.
+pub struct LocalActor {
+    run: u64,
+    sizes: Vec<u32>,
+    weights: Weights,
+    /// The weights received last.
+    copy: Vec<f32>,
+    ticks: Receiver<Tick>,
+    orders: Arc<Newest>,
+    /// How many orders there had been when some were received last.
+    received: u64,
+    learner: SyncSender<ToLearner>,
+}
+
+/// The learner over channels.
+pub struct LocalLearner {
+    run: u64,
+    generation: u16,
+    sizes: Vec<u32>,
+    obs_dim: usize,
+    n_actions: usize,
+    mentor_len: usize,
+    weights: Weights,
+    ticks: Vec<SyncSender<Tick>>,
+    orders: Arc<Newest>,
+    inbox: Receiver<ToLearner>,
+    mentor: SyncSender<Request>,
+}
+
+/// The mentor-server over channels.
+pub struct LocalMentor {
+    requests: Receiver<Request>,
+}
+
+/// The connected ends of `plan`'s run: learner, mentor-server, and one end for each actor.
+pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
+    let actors = plan.config.run.actors as usize;
+    let sizes: Vec<u32> = plan.sizes().into_iter().map(|n| n as u32).collect();
+    let weights = Weights::default();
+    let orders = Arc::<Newest>::default();
+    let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
+    let (to_mentor, requests) = sync_channel(1);
+    let (ticks, receivers): (Vec<_>, Vec<_>) = (0..actors).map(|_| sync_channel(TICKS_BUFFER)).unzip();
+    let actors = receivers
+        .into_iter()
+        .map(|ticks| LocalActor {
+            run: plan.run,
+            sizes: sizes.clone(),
+            weights: weights.clone(),
+            copy: Vec::new(),
+            ticks,
+            orders: orders.clone(),
+            received: 0,
+            learner: to_learner.clone(),
+        })
+        .collect();
+    let learner = LocalLearner {
+        run: plan.run,
+        generation: plan.generation,
+        sizes,
+        obs_dim: plan.spec.obs_dim(),
+        n_actions: plan.spec.n_actions(),
+        mentor_len: plan.mentor_len(),
+        weights,
+        ticks,
+        orders,
+        inbox,
+        mentor: to_mentor,
+    };
+    (learner, LocalMentor { requests }, actors)
+}
+
+fn gone(what: &'static str) -> LinkError {
+    LinkError::Receivers { what, found: 0, expected: 1 }
+}
+
+/// A timeout is no message; a closed channel is an error.
+fn waited<T>(result: Result<T, RecvTimeoutError>, what: &'static str) -> Result<Option<T>, LinkError> {
+    match result {
+        Ok(message) => Ok(Some(message)),
+        Err(RecvTimeoutError::Timeout) => Ok(None),
+        Err(RecvTimeoutError::Disconnected) => Err(gone(what)),
+    }
+}
+
+impl LocalActor {
+    /// Takes over the newest weights; returns their generation and version.
+    fn update_weights(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
+        let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some((header, weights)) = newest.as_ref() else { return Ok(None) };
+        self.copy.resize(weights.len(), 0.0);
+        header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
+        Ok(Some((header.generation, header.version)))
+    }
+}
+
+impl ActorLink for LocalActor {
+    fn hello(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError> {
+        let tick = waited(self.ticks.recv_timeout(timeout), "waiting for a tick")?;
+        if let Some(tick) = &tick {
+            tick.validate(self.run)?;
+        }
+        Ok(tick)
+    }
+
+    fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
+        let newest = self.orders.orders.lock().unwrap_or_else(PoisonError::into_inner);
+        let received = self.received;
+        let waited = self.orders.changed.wait_timeout_while(newest, timeout, |newest| newest.0 == received);
+        let (count, orders) = *waited.unwrap_or_else(PoisonError::into_inner).0;
+        if count == received {
+            return Ok(None);
+        }
+        self.received = count;
+        orders.validate(self.run)?;
+        Ok(Some(orders))
+    }
+
+    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
+        let newest = self.update_weights()?.filter(|(of, _)| *of == generation);
+        Ok(newest.map(|(_, version)| (version, &*self.copy)))
+    }
+
+    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
+        match self.update_weights()? {
+            Some((_, found)) if found == version => Ok(&self.copy),
+            Some((_, found)) => Err(WeightsError::Version { found, expected: version }.into()),
+            None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
+        }
+    }
+
+    fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
+        self.learner
+            .send(ToLearner::Batch(batch.header, batch.payload().to_vec()))
+            .map_err(|_| gone("a batch"))
+    }
+
+    fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError> {
+        self.learner.send(ToLearner::Reply(reply.clone())).map_err(|_| gone("a reply"))
+    }
+}
+
+impl LearnerLink for LocalLearner {
+    fn welcome(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
+        let header = WeightsHeader::new(self.run, self.generation, version, &self.sizes, weights);
+        *self.weights.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, weights.to_vec()));
+        Ok(())
+    }
+
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
+        let mut newest = self.orders.orders.lock().unwrap_or_else(PoisonError::into_inner);
+        *newest = (newest.0 + 1, *orders);
+        self.orders.changed.notify_all();
+        Ok(())
+    }
+
+    fn mentor_waits(&self) -> bool {
+        false
+    }
+
+    fn rejoin_mentor(&mut self, _: Stop<'_>) -> Result<(), LinkError> {
+        Err(gone("the mentor-server"))
+    }
+
+    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
+        self.ticks.iter().try_for_each(|actor| actor.send(*tick).map_err(|_| gone("a tick")))
+    }
+
+    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+        match waited(self.inbox.recv_timeout(timeout), "waiting for actors")? {
+            None => Ok(None),
+            Some(ToLearner::Reply(reply)) => Ok(Some(FromActor::Reply(reply))),
+            Some(ToLearner::Batch(header, payload)) => {
+                let slot = batches
+                    .get_mut(header.actor as usize)
+                    .ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
+                slot.receive(header, &payload, self.obs_dim, self.n_actions)?;
+                Ok(Some(FromActor::Batch(header.actor)))
+            }
+        }
+    }
+
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        payload: &[u32],
+        into: &mut Observed,
+    ) -> Result<(), LinkError> {
+        const WHAT: &str = "a batch for its history";
+        let (answer, answers) = sync_channel(1);
+        self.mentor.send(Request::Observe(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
+        let (header, payload) = answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
+        if header.status != OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        Ok(into.receive(&header, &payload, self.obs_dim, self.mentor_len)?)
+    }
+
+    fn query(
+        &mut self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+    ) -> Result<QueryAnswer, LinkError> {
+        const WHAT: &str = "a query";
+        let (answer, answers) = sync_channel(1);
+        self.mentor.send(Request::Query(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
+        let (header, payload) = answers.recv_timeout(QUERY_DEADLINE).map_err(|_| gone(WHAT))?;
+        if header.status != OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        *into = payload;
+        Ok(header)
+    }
+}
+
+impl MentorLink for LocalMentor {
+    fn hello(&mut self, _: &mut dyn MentorHandler, _: Stop<'_>) -> Result<(), LinkError> {
+        Ok(())
+    }
+
+    fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
+        let mut words = Vec::new();
+        match waited(self.requests.recv_timeout(timeout), "waiting for requests")? {
+            None => Ok(0),
+            // A client that no longer waits for its answer is its own affair.
+            Some(Request::Observe(request, payload, answer)) => {
+                let header = handler.observe(&request, &payload, &mut words);
+                let _ = answer.send((header, words));
+                Ok(1)
+            }
+            Some(Request::Query(request, payload, answer)) => {
+                let header = handler.query(&request, &payload, &mut words);
+                let _ = answer.send((header, words));
+                Ok(1)
+            }
+        }
+    }
+}
