@@ -16,7 +16,7 @@ pub struct AdamError {
     pub name: &'static str,
     /// The value given.
     pub got: f64,
-    /// What is accepted.
+    /// The accepted values, in words.
     pub accepted: &'static str,
 }
 

@@ -30,7 +30,7 @@ pub struct Samples<'a> {
 /// `[n_params]`.
 ///
 /// # Errors
-/// Whatever candle reports, above all shapes that do not fit.
+/// Every error that candle reports, above all shapes that do not fit.
 pub fn q_values(layout: &Layout, params: &Tensor, x: &Tensor) -> Result<Tensor> {
     let last = layout.layers().len() - 1;
     let mut x = x.clone();
@@ -51,7 +51,7 @@ pub fn q_values(layout: &Layout, params: &Tensor, x: &Tensor) -> Result<Tensor> 
 /// flat in the order of `layout`.
 ///
 /// # Errors
-/// Whatever candle reports, above all lengths that do not fit and actions that do not exist.
+/// Every error that candle reports, above all lengths that do not fit and actions that do not exist.
 pub fn loss_and_gradient(
     layout: &Layout,
     params: &Var,

@@ -16,7 +16,7 @@ pub struct RowGrad {
 }
 
 /// Gradient of `sum over terms of dq * Q(x_row, action)` with respect to the parameters, where `x` are the
-/// rows of the last [`crate::forward_train`] on this workspace; `params` must be those of that call.
+/// rows of the last [`crate::forward_train`] on this workspace; `params` must be the parameters of that call.
 ///
 /// `grad` is overwritten. Rows that no term names contribute nothing and cost nothing; a row may be named
 /// more than once; without terms the gradient is 0. The terms are added up in the order given, on which the
@@ -57,7 +57,7 @@ pub fn backward(
     }
 }
 
-/// Gradient of the output layer; leaves that of its input in `ws.delta[0]`.
+/// Gradient of the output layer; leaves the gradient of its input in `ws.delta[0]`.
 fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut [f32]) {
     let l = layout.layers().len() - 1;
     let layer = layout.layers()[l];
@@ -88,7 +88,8 @@ fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut 
     }
 }
 
-/// Gradient of hidden layer `l` from that of its output in `ws.delta[0]`; leaves that of its input there.
+/// Gradient of hidden layer `l` from the gradient of its output in `ws.delta[0]`; leaves the gradient of its input
+/// there.
 fn hidden_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, l: usize, grad: &mut [f32]) {
     let layer = layout.layers()[l];
     let n = ws.rows.len();

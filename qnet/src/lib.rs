@@ -5,7 +5,7 @@
 //!
 //! * [`encode`]: from an environment's observation to the network's input;
 //! * [`forward`], [`forward_train`], [`backward()`]: values, and the gradient of any weighted sum of them;
-//! * [`Loss`], [`Adam`], [`clip_grad_norm`]: what turns values and targets into the next parameters;
+//! * [`Loss`], [`Adam`], [`clip_grad_norm`]: from values and targets to the next parameters;
 //! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
 //! * [`network_of`], [`kernels_of`]: the shape and the instruction set that a run's plan asks for;
 //! * [`autodiff`]: the same loss and gradient through candle's automatic differentiation.

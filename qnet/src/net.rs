@@ -90,8 +90,8 @@ impl Workspace {
 
 /// Q-values of `rows` inputs: `x` is `[rows][input]`, `out` is `[rows][output]` and is overwritten.
 ///
-/// The bits of a row's result do not depend on the other rows, nor on the instruction set. Leaves what
-/// [`forward_train`] kept untouched.
+/// The bits of a row's result do not depend on the other rows, nor on the instruction set. The layers' inputs that
+/// [`forward_train`] kept stay untouched.
 ///
 /// # Panics
 /// If a slice has another length, `rows` is 0 or above the workspace's, or the workspace has another layout.

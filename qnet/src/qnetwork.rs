@@ -1,7 +1,7 @@
 //! The online and the target network of Q-learning, each one flat candle tensor.
 //!
 //! candle is the tensor, autodiff and checkpoint library: the online parameters are a `Var`, so
-//! [`crate::autodiff`] differentiates with respect to this very storage and checks what the kernels compute.
+//! [`crate::autodiff`] differentiates with respect to this very storage and checks the kernels' results.
 //! The hot path borrows the storage as a slice and changes it through one candle in-place operation, which
 //! copies and allocates nothing.
 
@@ -173,7 +173,7 @@ impl<R, F: FnOnce(&mut [f32]) -> R> InplaceOp1 for InPlace<F, R> {
     }
 
     fn cpu_fwd(&self, storage: &mut CpuStorage, _: &candle_core::Layout) -> candle_core::Result<()> {
-        // The whole storage, whatever part of it the handle shows.
+        // The whole storage, even if the handle shows a part of it.
         if let (CpuStorage::F32(params), Some(f)) = (storage, self.f.take()) {
             self.result.set(Some(f(params)));
         }

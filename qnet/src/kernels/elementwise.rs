@@ -23,7 +23,7 @@ pub(crate) struct AdamStep<'a> {
     pub(crate) step_size: f32,
     /// One over the square root of the bias correction of `v`.
     pub(crate) root_scale: f32,
-    /// What is added to the root.
+    /// Added to the root.
     pub(crate) eps: f32,
 }
 
@@ -41,8 +41,8 @@ impl<S: Vector> AdamLanes<S> {
     /// New parameters and moments `(p, m, v)` from old ones and the gradient.
     #[inline(always)]
     fn update(&self, p: S, m: S, v: S, g: S) -> (S, S, S) {
-        // A unit that died leaves moments that shrink for ever; arithmetic on subnormals is slow, and what
-        // they could still add is far below one rounding error of any parameter.
+        // A unit that died leaves moments that shrink for ever. Arithmetic on subnormals is slow, and they
+        // could add far less than one rounding error to any parameter.
         let m = g.sub(m).mul_add(self.new1, m).flush_subnormal();
         let v = g.mul(self.new2).mul_add(g, v.mul(self.beta2)).flush_subnormal();
         let p = self.step.mul(m).div(v.sqrt().mul_add(self.root_scale, self.eps)).add(p);
@@ -111,7 +111,7 @@ impl Op for Scale<'_> {
 pub(crate) struct Blend<'a> {
     /// Blended in place.
     pub(crate) x: &'a mut [f32],
-    /// What is blended in; as long as `x`.
+    /// Blended into `x`; as long as `x`.
     pub(crate) y: &'a [f32],
     /// Its share, 0 to 1.
     pub(crate) share: f32,

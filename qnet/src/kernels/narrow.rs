@@ -21,7 +21,7 @@ pub(crate) struct NarrowProduct<'a> {
     pub(crate) x: &'a [f32],
     /// Right factor, `[inner][columns]`, `columns` being the length of `bias`.
     pub(crate) weights: &'a [f32],
-    /// What is added to each column.
+    /// Added to each column.
     pub(crate) bias: &'a [f32],
     /// Result, `[rows][columns]`; overwritten.
     pub(crate) out: &'a mut [f32],

@@ -36,7 +36,7 @@ impl Op for Chains {
 }
 
 /// Does `rounds` rounds of fused multiply-adds that never leave the registers, and returns the number of
-/// floating-point operations, of which a multiply-add is two. What they take gives the highest rate of
+/// floating-point operations, of which a multiply-add is two. The time that they take gives the highest rate of
 /// arithmetic that `kernels` could reach.
 pub fn multiply_adds(kernels: Kernels, rounds: u64) -> u64 {
     kernels.run(Chains { rounds })
@@ -70,7 +70,7 @@ impl Op for Traffic<'_> {
 
 /// Moves the bytes that a step of [`crate::Adam`] has to move, 28 a parameter: reads parameters, both moments and
 /// the gradient, adds the gradient to the other three (a gradient of 0 leaves them as they are) and writes them.
-/// What it takes is the least that Adam could.
+/// Adam cannot take less time than this.
 ///
 /// # Panics
 /// If `params`, `m` or `v` is shorter than `grad`.

@@ -89,7 +89,7 @@ impl<const R: usize> LeftTile<R> for ColumnTile<'_> {
     }
 }
 
-/// What happens to a finished element.
+/// The function that is applied to a finished element.
 #[derive(Clone, Copy)]
 pub(crate) enum After<'a> {
     /// Nothing.
@@ -120,7 +120,7 @@ pub(crate) struct Product<'a, L: Left> {
     pub(crate) right: &'a [f32],
     /// Where the sums start, `[columns]`; 0 if absent.
     pub(crate) bias: Option<&'a [f32]>,
-    /// What happens to a finished sum.
+    /// Applied to a finished sum.
     pub(crate) after: After<'a>,
     /// Result, `[rows][columns]`; overwritten.
     pub(crate) out: &'a mut [f32],
@@ -185,7 +185,7 @@ impl<L: Left> Product<'_, L> {
         width
     }
 
-    /// All rows of `V` registers of columns; if `PARTIAL`, of what is left of the columns, less than a
+    /// All rows of `V` registers of columns; if `PARTIAL`, all rows of the remaining columns, less than a
     /// register.
     #[inline(always)]
     fn panel<S: Vector, const V: usize, const PARTIAL: bool>(&mut self, column: usize) {

@@ -19,7 +19,7 @@ impl Op for Transpose<'_> {
     fn run<S: Vector>(mut self) {
         let rows = self.x.len() / self.columns;
         assert!(self.x.len() == rows * self.columns && self.out.len() == self.x.len());
-        // In strips of 16 rows, whatever the height of a block: the result then comes by whole cache lines.
+        // In strips of 16 rows at any height of a block: the result then comes by whole cache lines.
         for strip in (0..rows).step_by(16) {
             for column in (0..self.columns).step_by(8) {
                 for row in (strip..rows.min(strip + 16)).step_by(S::LANES) {
@@ -31,7 +31,7 @@ impl Op for Transpose<'_> {
 }
 
 impl Transpose<'_> {
-    /// The block from one row and column on: a register high and eight columns wide, or what is left of that.
+    /// The block from one row and column on: a register high and eight columns wide, or less at the edges.
     #[inline(always)]
     fn block<S: Vector>(&mut self, rows: usize, row: usize, column: usize) {
         let (tall, wide) = ((rows - row).min(S::LANES), (self.columns - column).min(8));
@@ -49,8 +49,8 @@ impl Transpose<'_> {
             for (c, line) in block.iter().enumerate() {
                 if c < wide {
                     let out = &mut out[c * rows..];
-                    // Of a low matrix each line of the result begins where the one before ends, and overwrites
-                    // what that wrote too far: far cheaper than a masked store on AVX2.
+                    // In the result of a low matrix, each line begins where the one before ends. It overwrites
+                    // the excess of that one, which is far cheaper than a masked store on AVX2.
                     let low = tall == rows && out.len() >= S::LANES;
                     if tall == S::LANES || low {
                         line.store(out)

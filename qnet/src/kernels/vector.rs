@@ -1,9 +1,9 @@
-//! One register of `f32` lanes: what the kernels are generic over, and its portable form.
+//! One register of `f32` lanes: the trait that the kernels are generic over, and its portable form.
 
 /// Lanes that are computed alike. Each method is one IEEE operation a lane.
 ///
 /// Implementations for an instruction set may be used only inside an [`Op`] that [`super::Kernels::run`]
-/// started: that is what guarantees that the machine has the instructions. They must be inlined all the way
+/// started, which makes sure that the machine has the instructions. They must be inlined all the way
 /// into it, or each operation becomes a function call.
 pub(crate) trait Vector: Copy {
     /// Number of lanes; a divisor of 64.
@@ -51,13 +51,13 @@ pub(crate) trait Vector: Copy {
 
 /// A kernel with its arguments.
 pub(crate) trait Op {
-    /// What it returns.
+    /// Type of its result.
     type Output;
     /// Runs it. Implementations are `#[inline(always)]`, see [`Vector`].
     fn run<S: Vector>(self) -> Self::Output;
 }
 
-/// Eight lanes in plain Rust: also what Miri and machines other than x86-64 run.
+/// Eight lanes in plain Rust. Miri and machines other than x86-64 run this form, too.
 pub(super) type Portable = [f32; 8];
 
 /// Applies a function lane by lane.
