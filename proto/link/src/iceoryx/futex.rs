@@ -1,9 +1,9 @@
 //! How a sleeping process is woken up: by a futex in the shared memory of its listener.
 //!
-//! iceoryx2's own trigger between processes is a datagram through a Unix socket: looking for it and taking it are several
-//! system calls, and its wake-up takes longer than that of a futex. All else of an event, which ids have come and who
-//! listens, is iceoryx2's. Its state of a listener (`notification_state` in iceoryx2-cal's `event/common.rs`) says whether a
-//! notifier need call this trigger at all.
+//! iceoryx2's own trigger between processes is a datagram through a Unix socket. A listener needs several system calls to
+//! look for it and to take it, and its wake-up takes longer than a futex's. The rest of an event is iceoryx2's: the ids that
+//! have come, and the list of listeners. iceoryx2's state of a listener (`notification_state` in iceoryx2-cal's
+//! `event/common.rs`) says whether a notifier need call this trigger at all.
 #![allow(unsafe_code)]
 
 use iceoryx2::prelude::{FileName, Path, ZeroCopySend};
@@ -68,19 +68,19 @@ const NOTIFIED: u32 = 1;
 /// The listener sleeps.
 const ASLEEP: u32 = 2;
 
-/// What a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. Whatever a peer may write there costs one wait that ends
-/// at once, or lasts for its whole time.
+/// The word that a listener sleeps on: one of [`IDLE`], [`NOTIFIED`], [`ASLEEP`]. If a peer writes any other value there, one
+/// wait ends at once, or lasts for its whole time.
 #[derive(Debug)]
 #[repr(transparent)]
 pub struct Futex(AtomicU32);
 
-// SAFETY: a plain number without padding, pointers or a destructor, valid whatever its bits are and wherever it is mapped.
+// SAFETY: a plain number without padding, pointers or a destructor, valid with any bits and mapped at any address.
 unsafe impl ZeroCopySend for Futex {}
 
 impl Futex {
     /// Wakes the listener up if it sleeps, or else keeps it from falling asleep.
     fn notify(&self) -> Result<(), Errno> {
-        // Also where another has notified it and may have been stopped before it could wake it up.
+        // Also if another notifier has marked it and may have been stopped before it could wake it up.
         if self.0.swap(NOTIFIED, Ordering::AcqRel) != IDLE {
             futex::wake(&self.0, Flags::empty(), 1)?;
         }
@@ -194,8 +194,8 @@ where
     }
 
     /// Leaves a notification where it is: the next wait is then over at once, for nothing. iceoryx2 calls this when the
-    /// listener counts as idle again, so that it could take away what a notifier has just put there, who would then mark the
-    /// sleeping listener as notified, and nobody would wake it up any more.
+    /// listener counts as idle again. To take a notification away here would be wrong: a notifier could have just put it there.
+    /// That notifier would then mark the sleeping listener as notified, and no later one would wake it up.
     fn empty_buffer(&self) -> Result<(), ListenerWaitError> {
         Ok(())
     }

@@ -2,7 +2,7 @@
 //!
 //! - [`domain`]: where a run's files lie, how they are removed;
 //! - [`services`]: every service with its limits; the supervisor creates and holds them, the others open them;
-//! - `wake`: sleeping until something has come; `futex`: what is slept on;
+//! - `wake`: sleeping until something has come; `futex`: the word in shared memory to sleep on;
 //! - `wire`: messages in the form that iceoryx2 accepts;
 //! - [`actor`], [`learner`], [`mentor`], [`query`]: the roles' ends.
 
@@ -30,12 +30,12 @@ use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use std::fmt::Display;
 use trestle_proto::limits::BACKPRESSURE;
 
-/// Turns an error of iceoryx2 into ours, saying what was being done.
+/// Turns an error of iceoryx2 into ours; `what` names the operation.
 fn failed<E: Display>(what: &'static str) -> impl Fn(E) -> LinkError {
     move |e| LinkError::Transport { what, message: e.to_string() }
 }
 
-/// What a sender does when the receiver's buffer is full: wait, but not for ever.
+/// A sender whose receiver's buffer is full waits, but not for ever.
 fn give_up_in_time(info: &BackpressureInfo) -> BackpressureAction {
     if info.elapsed_time < BACKPRESSURE {
         BackpressureAction::Retry

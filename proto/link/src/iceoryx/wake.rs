@@ -1,7 +1,7 @@
 //! Sleeping until something has come.
 //!
-//! Every consumer looks for data first and sleeps only when there is none; a notification that comes in between is
-//! kept by the listener, so none is lost. All notifications are drained at each wake-up.
+//! Every consumer looks for data first and sleeps only when there is none. The listener keeps a notification that comes
+//! in between, so none is lost. Each wake-up takes all notifications.
 
 use super::{Ipc, failed};
 use crate::LinkError;
@@ -22,8 +22,8 @@ pub(super) const WELCOME: usize = 1;
 pub(super) const HELLO: usize = 66;
 /// Peer `i` has mapped the learner's memory: `READY + i`.
 pub(super) const READY: usize = 131;
-/// A learner asks the mentor-server to announce itself. After every welcome in number: whoever takes both at once has been
-/// let in since.
+/// A learner asks the mentor-server to announce itself. Its id is above every welcome's: a mentor-server that takes both at
+/// once has been let in since.
 pub(super) const ROLL_CALL: usize = 196;
 /// A notifier came.
 pub(super) const CREATED: usize = 252;
@@ -37,10 +37,9 @@ pub(super) const LAST: usize = 254;
 /// Sleeps until notified or until `timeout` is over; calls `on_event` for every kind of event that has come. It may also
 /// wake up for nothing.
 ///
-/// A notification whose wake-up is lost is found when the time is over: iceoryx2 does not wake a listener up that another
-/// notifier has marked as notified (`iceoryx2-cal` 0.10, `event/common.rs`), and of two notifiers one that is killed or stopped
-/// in the midst of it can leave that mark on a listener that sleeps. So nobody should sleep for longer than [`WAIT_SLICE`] at a
-/// time.
+/// A notification whose wake-up is lost is found when the time is over. iceoryx2 does not wake up a listener that another
+/// notifier has marked as notified (`iceoryx2-cal` 0.10, `event/common.rs`). A notifier that is killed or stopped in the midst
+/// of this can leave that mark on a sleeping listener. So no process should sleep for longer than [`WAIT_SLICE`] at a time.
 pub(super) fn sleep(
     listener: &Listener<Ipc>,
     timeout: Duration,
@@ -101,7 +100,7 @@ mod tests {
 
     const ROUNDS: u32 = 100;
 
-    /// Two threads, each with what belongs to it mapped at an address of its own, as in two processes.
+    /// Two threads, each with its memory mapped at an address of its own, as in two processes.
     #[test]
     fn notifications_wake_up_whoever_sleeps_elsewhere() {
         let domain = Domain::create(u64::from(std::process::id()) << 32 | 3).unwrap();
