@@ -9,7 +9,7 @@ use crate::stats::{Estimate, iqm_interval, mean, standard_deviation};
 /// Points of a curve, at most.
 pub const GRID: usize = 120;
 
-/// What a curve runs over.
+/// The horizontal axis of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Finished episodes.
@@ -46,7 +46,7 @@ impl Axis {
     }
 }
 
-/// What is drawn at one point of the axis.
+/// The values at one point of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// Position on the axis.

@@ -1,13 +1,13 @@
 //! Reports: statistics, pictures and a page from the records of any number of runs.
 //!
-//! - [`read`]: the runs below a directory, one after the other, each reduced to what is drawn of it;
+//! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves;
 //! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
-//! - [`summary`]: runs grouped by task and arm, and what is said of each group and pair;
+//! - [`summary`]: runs grouped by task and arm, with the figures of each group and pair;
 //! - [`curves`]: many runs' records on one axis;
-//! - [`plot`]: pictures, as SVG and PNG; [`maze`]: those of a maze;
+//! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze;
 //! - [`mod@write`]: everything into a directory, with the page that shows it.
 //!
-//! Nothing here knows networks or environments: what a picture of a maze needs is handed in as plain data.
+//! Nothing here knows networks or environments: the caller hands in the data for pictures of a maze.
 
 pub mod curves;
 pub mod maze;

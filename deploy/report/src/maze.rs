@@ -1,12 +1,12 @@
-//! Pictures of a maze, of cells or with a ball in it: the mentor's path and what the observer has found out about each of its steps, the path that it
-//! has learnt, where it has been, and what it thinks of each cell.
+//! Pictures of a maze, of cells or with a ball in it: the mentor's path with the observer's findings about each step, the
+//! learnt path, the visits to each cell, and the value of each cell.
 
 use crate::plot::{Area, GRID, INK, PAPER, PlotError, svg, text};
 use plotters::element::{Circle, PathElement, Rectangle};
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, RGBColor, ShapeStyle};
 
-/// What the observer knows of a mentor's step.
+/// The observer's finding about a mentor's step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// One of its own actions does the same.
@@ -36,7 +36,7 @@ pub type Place = [f64; 2];
 /// One run in its maze.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Maze {
-    /// What the picture shows.
+    /// The heading of the picture.
     pub title: String,
     /// Columns and rows.
     pub size: [usize; 2],
@@ -262,7 +262,7 @@ impl Picture<'_, '_> {
         Ok(())
     }
 
-    /// Left end of what is beside the map.
+    /// Left end of the column beside the map.
     fn beside(&self) -> i32 {
         LEFT + self.maze.size[0] as i32 * self.side + 16
     }
@@ -332,7 +332,7 @@ mod tests {
         // The wall's value is no part of the scale.
         let values = maze.values_svg().unwrap().unwrap();
         assert!(values.contains("0.50") && !values.contains("99.00"));
-        // Four squares a cell: those of the second one are a wall's.
+        // Four squares a cell: the squares of the second cell are a wall's.
         let values =
             (0..24).map(|at| if [2, 3, 8, 9].contains(&at) { 99.0 } else { f64::from(at) }).collect();
         let fine = Maze { fine: 2, values, ..maze.clone() }.values_svg().unwrap().unwrap();

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 /// A picture on the page.
 pub(crate) struct Figure {
-    /// What it shows.
+    /// Its description, which screen readers read out.
     pub(crate) caption: String,
     /// [`crate::plot::inline`].
     pub(crate) svg: String,

@@ -1,7 +1,7 @@
 //! Pictures: a chart of lines with bands, and a chart of intervals. Each is drawn once, as SVG; the PNG is that SVG
 //! rasterised, with a font that is part of the program, so that pictures are the same on every machine.
 //!
-//! Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; lines differ in their dashes as
+//! The colours of Okabe and Ito (2008) are used, which the colour-blind can tell apart. Lines differ in their dashes as
 //! well. Ink, grid and paper are named apart, so that a page can have them follow its own colours ([`inline`]).
 
 mod chart;

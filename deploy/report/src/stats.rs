@@ -40,8 +40,8 @@ pub fn standard_deviation(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Interquartile mean: that of what is left when a quarter of the values, rounded down, is cut off at either end
-/// (SciPy's `trim_mean` of 0.25, which rliable uses); NaN of nothing. `values` are reordered.
+/// Interquartile mean: the mean of the values that remain when a quarter of them, rounded down, is cut off at either end
+/// (SciPy's `trim_mean` of 0.25, which rliable uses). NaN without values. `values` are reordered.
 pub fn interquartile_mean(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let cut = values.len() / 4;
@@ -59,8 +59,8 @@ pub fn median(values: &mut [f64]) -> f64 {
     if values.len() % 2 == 1 { values[upper] } else { (values[upper - 1] + values[upper]) / 2.0 }
 }
 
-/// The quantile `q` (0 to 1) of ascending `sorted` values, between two of them in proportion (NumPy's default), where
-/// both are finite; otherwise that of them which is nearer. NaN of nothing.
+/// The quantile `q` (0 to 1) of ascending `sorted` values: between two of them in proportion (NumPy's default) if both
+/// are finite, otherwise the nearer one. NaN without values.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let at = q * last as f64;

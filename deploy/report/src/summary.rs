@@ -1,4 +1,4 @@
-//! Runs grouped by task and arm, and what is said of each group and each pair of groups.
+//! Runs grouped by task and arm, with the figures of each group and of each pair of groups.
 
 use crate::read::{Outcome, Run};
 use crate::stats::{
@@ -19,7 +19,7 @@ pub struct Group<'a> {
     pub runs: Vec<&'a Run>,
 }
 
-/// What a set of runs was trained on, with its arms.
+/// The task of a set of runs, with its arms.
 #[derive(Clone, Debug)]
 pub struct Task<'a> {
     /// Name of the environment.
@@ -72,7 +72,7 @@ impl Time {
     pub const ALL: [Self; 4] =
         [Self::SolvedEpisode, Self::SolvedEnvSteps, Self::OptimalEpisode, Self::OptimalEnvSteps];
 
-    /// In names of files and columns: that of the key in `result.json`.
+    /// The name of the key in `result.json`, also used for files and columns.
     pub fn name(self) -> &'static str {
         match self {
             Self::SolvedEpisode => "solved_episode",
@@ -114,7 +114,7 @@ impl Time {
 }
 
 impl Group<'_> {
-    /// What its complete runs came to.
+    /// The outcomes of its complete runs.
     pub fn outcomes(&self) -> impl Iterator<Item = &Outcome> {
         self.runs.iter().filter_map(|run| run.complete())
     }
@@ -125,7 +125,7 @@ impl Group<'_> {
     }
 }
 
-/// What is said of one arm on one task.
+/// The figures of one arm on one task.
 #[derive(Clone, Debug, Serialize)]
 pub struct ArmSummary {
     /// Name of the environment.

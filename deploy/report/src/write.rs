@@ -5,7 +5,7 @@
 //! report.json            the same numbers for programs; see docs/reports.md
 //! runs.csv               a line a run
 //! pictures/<name>.svg    every picture, and as .png
-//! data/<name>.csv        what it is drawn from
+//! data/<name>.csv        the numbers behind it
 //! ```
 
 use crate::curves::{self, Axis};
@@ -48,14 +48,14 @@ pub enum WriteError {
     },
 }
 
-/// What a report is made from.
+/// The input of a report.
 #[derive(Clone, Debug)]
 pub struct Report<'a> {
     /// Its heading.
     pub title: String,
     /// The runs, as [`crate::read::read_runs`] orders them.
     pub runs: &'a [Run],
-    /// What is missing.
+    /// Notes about everything that is missing.
     pub notes: Vec<String>,
     /// Name of task and arm, and one of its runs in its maze.
     pub mazes: Vec<(String, String, Maze)>,
@@ -387,7 +387,7 @@ impl Drawing<'_> {
         output.intervals(&self.name(&format!("ratio-{}", time.name())), &chart)
     }
 
-    /// What `of` makes of each arm, in the order of all arms, so that each has its colour; an arm without runs on this
+    /// The result of `of` for each arm, in the order of all arms, so that each has its colour. An arm without runs on this
     /// task is an empty group.
     fn each<T>(&self, mut of: impl FnMut(&Group<'_>) -> T) -> Vec<T> {
         let arms = self.names.iter().map(|name| {
@@ -461,7 +461,7 @@ impl Drawing<'_> {
         output.chart(&self.name(&format!("{what}-{}-{}", band.name(), axis.name())), &chart, &counts)
     }
 
-    /// What is known of the mentor's steps.
+    /// Curves of the findings about the mentor's steps.
     fn knowledge(&self, output: &mut Output<'_>) -> Result<(), WriteError> {
         let sources: [Source; 3] = [
             ("feasible", "share of mentor transitions that are feasible", |run| &run.feasible),
@@ -491,7 +491,7 @@ impl Drawing<'_> {
 /// A series of runs: its name in files, on pictures, and where it is.
 type Source = (&'static str, &'static str, fn(&Run) -> &Series);
 
-/// What a line and its band are.
+/// The meaning of a line and its band.
 #[derive(Clone, Copy)]
 enum Band {
     /// Mean and standard deviation, as in the paper's figures.

@@ -24,17 +24,17 @@ pub struct Line {
 /// A chart of lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// What it shows.
+    /// The heading of the picture.
     pub title: String,
     /// Horizontal axis.
     pub x: Axis,
-    /// Vertical axis. What lies outside it is drawn at its edge.
+    /// Vertical axis. A point outside it is drawn at its edge.
     pub y: Axis,
     /// The lines, one an arm; their order decides on colours and dashes.
     pub lines: Vec<Line>,
     /// Horizontal lines with a name.
     pub rules: Vec<(f64, String)>,
-    /// What lines and bands are.
+    /// The meaning of lines and bands.
     pub note: String,
 }
 

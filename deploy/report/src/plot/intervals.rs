@@ -16,22 +16,22 @@ const ROW: i32 = 26;
 /// A line of the chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// What it is about.
+    /// The name at its left.
     pub name: String,
     /// Number of the arm, for its colour.
     pub arm: usize,
     /// The value. Infinite ends are drawn as arrows, an undefined or infinite value not at all.
     pub estimate: Estimate,
-    /// What to write at its end.
+    /// The text at its right end.
     pub note: String,
 }
 
 /// A chart of intervals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Intervals {
-    /// What it shows.
+    /// The heading of the picture.
     pub title: String,
-    /// What points and bars are.
+    /// The meaning of points and bars.
     pub note: String,
     /// Horizontal axis; all finite numbers lie within it.
     pub x: Axis,

@@ -12,7 +12,7 @@ pub enum Scale {
 /// An axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// What it measures, with its unit.
+    /// The measured quantity, with its unit.
     pub label: String,
     /// Its scale.
     pub scale: Scale,
@@ -23,7 +23,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis that holds `low` to `high` with some room; what is not finite counts as 0.
+    /// An axis that holds `low` to `high` with some room. An end that is not finite counts as 0.
     pub fn fit(label: &str, scale: Scale, low: f64, high: f64) -> Self {
         let [low, high] = [low, high].map(|end| if end.is_finite() { end } else { 0.0 });
         let (low, high) = if low < high { (low, high) } else { (low - 0.5, low + 0.5) };
