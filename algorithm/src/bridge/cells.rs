@@ -1,7 +1,7 @@
 //! Which stored states may be similar to a state: a hash of cells as wide as the radius of similarity.
 //!
 //! Similar states differ by at most the radius in every whitened feature, so they lie in the same cell or in adjacent
-//! ones. Cells are cut along at most three features, those in which the mentor's states spread widest. Cells that share
+//! ones. Cells are cut along at most three features, in which the mentor's states spread widest. Cells that share
 //! a hash share a list, which costs a few needless tests and nothing else: every join is verified by its KL.
 
 use crate::states::{MixedMap, mix};

@@ -1,5 +1,5 @@
-//! Bookkeeping of a breadth-first search over similar states: what has been seen, how far it has gone, how much it has
-//! looked at.
+//! Bookkeeping of a breadth-first search over similar states: which states it has seen, how far it has gone, and how many
+//! states and links it has looked at.
 
 use super::Path;
 use super::graph::Graph;

@@ -1,10 +1,10 @@
 //! The stored transitions as a graph, for cross-referencing: nodes are the distinct states, and a *link* stands for
 //! all stored transitions from one state to another.
 //!
-//! Links are counted, so that eviction removes exactly those without a stored transition left. Of a link's
-//! transitions only those are kept that could be the best first step of a bridge while they are stored: one is dropped
-//! as soon as a newer one has the same action, the same end and a reward at least as high. So a link stays
-//! small however often it is travelled, and what it knows depends on the stored transitions alone.
+//! The transitions of a link are counted, so eviction removes a link exactly when its last stored transition goes. A link
+//! keeps only the transitions that could be the best first step of a bridge while they are stored. It drops one as soon as
+//! a newer one has the same action, the same end and a reward at least as high. So a link stays small however often it is
+//! travelled, and its contents depend on the stored transitions alone.
 
 use super::cells::Cells;
 use super::strides::Strides;
@@ -61,7 +61,7 @@ impl Link {
     }
 }
 
-/// What a new transition adds to the graph.
+/// The effect of a new transition on the graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum News {
     /// Nothing: paths through it existed already, with a first step no worse.

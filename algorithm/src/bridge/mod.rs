@@ -12,28 +12,32 @@
 //! 3. s' of t_l is similar to a mentor state 1 to n mentor steps after s_m in the same trajectory. The nearest such
 //!    state's KL is the bridge's *end KL*. (t_l may end its episode.)
 //!
-//! Of two bridges the shorter one is the better one (the paper wants the shortest), then that with the smaller end KL,
-//! then that whose first step has the higher reward (our choice, and so is the order: a path that truly returns to the
-//! mentor's is worth more than a reward that may owe to circumstances). Among those that one transition completes the best
-//! is found; of equally good ones that whose first step has the smaller action, then the smaller s', so that no order of
-//! storage shows.
+//! Of two bridges the shorter one is better (the paper wants the shortest), then the one with the smaller end KL, then the
+//! one whose first step has the higher reward. The last two and their order are our choice: a path that truly returns to
+//! the mentor's is worth more than a reward that may owe to circumstances. The search finds the best of all bridges that
+//! one transition completes. Among equally good ones it takes the one whose first step has the smaller action, then the
+//! smaller s', so that no order of storage shows.
 //!
-//! It replaces the known one if it is shorter. If it is as long, it does so only by what the newest transition itself
-//! brings: an end that is nearer, or as near with a better first step, where it is the last step; a higher reward,
-//! with an end no farther, where it is the first; a higher reward wherever it is, if the known bridge ends in the mentor's very
-//! state. Which other stored ends a path could reach that has just become possible is not looked into: in a crowd of states
-//! that are never seen twice there are always nearer ends that no bridge of this length leads to, and every transition would
-//! be searched from in vain. In a world of few states, all equal or dissimilar, nothing is lost: the bridge is at any time
-//! the best one that has ever been in the history.
+//! It replaces the known bridge if it is shorter. If it is as long, it does so only by a gain of the newest transition
+//! itself:
 //!
-//! Bridges are looked for where the mentor transition is infeasible at the time: e_KL >= `e_infeas`, or no estimate
-//! yet. A bridge is kept when the transitions that it was found from have left the history.
+//! - as the last step, an end that is nearer, or as near with a better first step;
+//! - as the first step, a higher reward with an end no farther;
+//! - at any place, a higher reward, if the known bridge ends in the mentor's very state.
+//!
+//! The search does not look at other stored ends that a path could reach because it has just become possible. In a crowd
+//! of states that are never seen twice there are always nearer ends to which no bridge of this length leads, so every
+//! transition would start a search in vain. In a world of few states, all equal or dissimilar, nothing is lost: the bridge
+//! is at any time the best one that has ever been in the history.
+//!
+//! The search serves mentor transitions that are infeasible at the time: e_KL >= `e_infeas`, or no estimate yet. A bridge
+//! stays when its transitions have left the history.
 //!
 //! # Search
-//! Nothing is ever scanned. Every new bridge contains the newest transition, so it is enough to look for paths through
-//! that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the cross-referencing, and
-//! `outlook` and `wanted` say beforehand where that could improve anything.
-//! [`oracle`] is Algorithm 1 as it stands, which the tests compare with: at any time each infeasible transition's
+//! The search never scans the history. Every new bridge contains the newest transition, so it is enough to look for paths
+//! through that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the
+//! cross-referencing, and `outlook` and `wanted` say beforehand where that could improve anything.
+//! [`oracle`] is Algorithm 1 as it stands, and the tests compare with it. At any time each infeasible transition's
 //! bridge is as short as the shortest that has ever been in the history, and in a world of few states it is the best.
 
 pub mod cells;
@@ -55,7 +59,7 @@ use crate::demonstration::Order;
 use crate::similarity::{Hit, Similarity};
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
-/// What bridges are.
+/// The definition's parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BridgeRule {
     /// Most observer steps, 1 to 64.
@@ -69,7 +73,7 @@ pub struct BridgeRule {
 /// The mentor's path, as bridge search sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Path<'a> {
-    /// What bridges are.
+    /// The parameters of bridges.
     pub rule: BridgeRule,
     /// The order of its states.
     pub order: &'a Order,
@@ -95,7 +99,7 @@ struct Place {
 }
 
 /// Makes `found`, in which the newest transition has this `place`, the bridge of mentor transition `j` if it is better
-/// than the one that is known. Whether it was.
+/// than the known one. Returns whether it was.
 fn improve(table: &mut AnnotationTable, j: usize, found: &Bridge<'_>, place: Place) -> bool {
     let better = table.bridge(j).is_none_or(|known| {
         if found.length != known.length {

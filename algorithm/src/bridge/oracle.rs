@@ -1,12 +1,12 @@
 //! Deep k-n step repair as the paper's Algorithm 1 has it: for one mentor transition, scan the whole history at every
-//! step. It costs O(|R| k n) a question and serves the tests, and as the plainest statement of what a bridge is.
+//! step. It costs O(|R| k n) per question. It serves the tests, and as the plainest definition of a bridge.
 
 use super::Path;
 use crate::history::{History, Stored};
 use crate::similarity::metric::kl;
 use std::cmp::Ordering;
 
-/// What decides between bridges, best first: length, end KL, reward of the first step (higher is better).
+/// The criteria between bridges, first to last: length, end KL, reward of the first step (higher is better).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
     /// Observer steps.
@@ -25,7 +25,7 @@ impl Quality {
 }
 
 /// The best bridge for mentor transition `j` in the present history, with or without cross-referencing, and the number
-/// of its first transition: of equally good ones that with the smaller action, then the smaller s'.
+/// of its first transition. Among equally good ones it is the one with the smaller action, then the smaller s'.
 pub fn best(history: &History, j: usize, cross_reference: bool, path: &Path<'_>) -> Option<(Quality, u64)> {
     let start = path.similarity.state(path.order.state_of(j));
     let similar = |a: &[f32], b: &[f32]| kl(a, b) <= path.similarity.e_th();

@@ -1,9 +1,8 @@
-//! What the stored transitions offer to each mentor state: how near one of them ends, and the best reward of those that
-//! begin in a similar state. With it a search is not begun where it could not improve anything.
+//! The outlook of each mentor state: how near a stored transition ends, and the best reward of the stored transitions that
+//! begin in a similar state. It spares searches that could not improve anything.
 //!
-//! Each value holds as long as the newest transition that it was seen in is stored; then it is looked up anew, when it
-//! is asked for. So nothing has to be done when a transition leaves, and what is known is a function of the stored
-//! transitions.
+//! Each value holds as long as the newest transition that showed it is stored. After that, the next question looks it up
+//! anew. So a transition that leaves needs no work, and the answers are a function of the stored transitions.
 
 use super::graph::Graph;
 use crate::similarity::metric::kl;
@@ -17,7 +16,7 @@ struct Seen<T> {
     index: u64,
 }
 
-/// What is known; not known is not the same as nothing there.
+/// A value that may be unknown, which is not the same as a value that does not exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Known<T> {
     #[default]
@@ -62,7 +61,7 @@ pub(super) struct Stock<'a> {
     pub(super) oldest: u64,
 }
 
-/// What is offered to each mentor state.
+/// The values of each mentor state.
 #[derive(Clone, Debug)]
 pub(super) struct Outlook {
     ends: Vec<Known<f32>>,
@@ -75,7 +74,7 @@ impl Outlook {
         Self { ends: vec![Known::Unknown; mentor_states], starts: vec![Known::Unknown; mentor_states] }
     }
 
-    /// Forgets everything: transitions have been stored that this has not been told of.
+    /// Forgets everything: transitions have been stored without [`Outlook::add`].
     pub(super) fn forget(&mut self) {
         self.ends.fill(Known::Unknown);
         self.starts.fill(Known::Unknown);
@@ -125,7 +124,7 @@ impl Outlook {
     }
 }
 
-/// The best of what `each` finds at the stored states similar to mentor state `m`.
+/// The best value that `each` finds at the stored states similar to mentor state `m`.
 fn look_up(
     m: usize,
     stock: &Stock<'_>,

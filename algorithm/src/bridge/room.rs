@@ -1,8 +1,8 @@
 //! Which mentor transitions leave a path room on both sides of the newest transition.
 //!
-//! Where no bridge is known, a path through t may have k - 2 steps before t and still go on after it; where one of l
-//! steps is known, l - 2, if as long a one is of use. Once most bridges are short, hardly any room is left, and this says
-//! so without a look at each mentor transition.
+//! Where no bridge is known, a path through t may have k - 2 steps before t and still go on after it. Where a bridge of l
+//! steps is known, it may have l - 2, if a bridge of the same length is of use. Once most bridges are short, hardly any
+//! room is left, and this index says so without a look at each mentor transition.
 
 use super::wanted::Reach;
 use crate::similarity::Similarity;
@@ -11,7 +11,7 @@ use crate::similarity::tree::WIDTH;
 /// The most room that any mentor state leaves, node by node of the index over them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Room {
-    /// Never less than what is true: bridges only become shorter, and a node is brought up to date when it is looked at.
+    /// Never less than the true room: bridges only become shorter, and a visit brings a node up to date.
     most: Vec<u32>,
 }
 
@@ -21,8 +21,8 @@ impl Room {
         self.most.clear();
     }
 
-    /// Calls `visit` with each mentor state, and its KL from `from`, that so many steps may lead from to `from` as it leaves
-    /// room for, at least one. `room` says how many that are, `most` of them at most.
+    /// Calls `visit` with each mentor state whose room is enough for a path from it to `from`, at least one step, and with
+    /// its KL from `from`. `room` gives the steps that a mentor state leaves room for, `most` at most.
     pub(super) fn around(
         &mut self,
         from: &[f32],

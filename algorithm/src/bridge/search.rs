@@ -6,14 +6,14 @@
 //! state similar to one ahead of it make the shortest bridge through t, and each level gives the best of its ties. A
 //! state is expanded at its first level only, since a later one makes no shorter path.
 //!
-//! Only what could matter is looked at. `wanted` says for which mentor transitions a path through t could improve
-//! the bridge, by what the longest stored step and the nearest stored ends allow: mostly for none, and the search is over
-//! before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until every
-//! wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
+//! The search looks only at states that could matter. `wanted` names the mentor transitions whose bridge a path through t
+//! could improve, judged by the longest stored step and the nearest stored ends. Mostly there are none, and the search is
+//! over before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until
+//! every wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
 //!
-//! What a level holds depends on the stored transitions alone, not on the order in which the graph keeps them. A search
-//! that has looked at [`MAX_LOOKS`] states and links in one direction drops the whole level that it is in, and goes no
-//! further that way: the choice, too, is one of the stored transitions alone.
+//! The contents of a level depend on the stored transitions alone, not on the order in which the graph keeps them. A
+//! search that has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes
+//! no further that way. So this choice, too, depends on the stored transitions alone.
 
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
@@ -28,14 +28,14 @@ use crate::states::States;
 use std::cmp::Ordering;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
-/// States and links that a search looks at in each direction, at most. Beyond it bridges may be missed, or longer
-/// than they could be; those without cross-referencing never are. Few searches begin, and most of them look at little: the
-/// limit is there so that even a batch of the most transitions is answered before its deadline.
+/// States and links that a search looks at in each direction, at most. Beyond the limit bridges may be missed, or longer
+/// than they could be, but never bridges without cross-referencing. Few searches begin, and most of them look at little.
+/// The limit is there so that even the largest batch is answered before its deadline.
 pub const MAX_LOOKS: usize = 1 << 18;
 /// More steps than any path has.
 pub(super) const NEVER: u32 = u32::MAX;
-/// Goals that each state is compared with, at most. Where more of them are near, they are looked up in the index instead,
-/// and no state is left out for its distance.
+/// Goals that each state is compared with, at most. If there are more, the search uses the index instead, and leaves no
+/// state out for its distance.
 const FEW: usize = 32;
 
 /// The first step of a path, as far as it decides between equally long ones.
@@ -86,7 +86,7 @@ pub struct Arrival<'a> {
     pub index: u64,
     /// Number of the oldest stored transition.
     pub oldest: u64,
-    /// What it has added to the graph.
+    /// Its effect on the graph.
     pub news: News,
 }
 
@@ -103,7 +103,7 @@ pub struct Search {
     limits: Vec<(u32, f32)>,
     ends: Ends,
     starts: Starts,
-    /// Forward: states reached; those of them that a path may go on from; states that its steps leave from.
+    /// Forward: the states reached; the states among them from which a path may go on; the states that its steps leave.
     reached: Marks,
     continued: Marks,
     onward: Marks,
@@ -235,7 +235,7 @@ impl Search {
         !cut_short
     }
 
-    /// What t itself reaches, and where it begins.
+    /// The first level: the end of t itself, and its beginning.
     fn begin(&mut self, new: &Arrival<'_>) {
         let t = new.t;
         self.level.clear();
@@ -249,8 +249,8 @@ impl Search {
         }
     }
 
-    /// Brings what is wanted up to date with what both sides have found, and drops what is found or out of reach.
-    /// Whether anything is left to look for.
+    /// Brings `wanted` up to date with the findings of both sides, and drops entries that are found or out of reach.
+    /// Returns whether any is left.
     fn choose(&mut self, ahead: &Side, behind: &Side, path: &Path<'_>) -> bool {
         let Self { wanted, starts, ends, .. } = self;
         wanted.retain_mut(|w| {

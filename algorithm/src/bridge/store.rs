@@ -5,8 +5,8 @@ use crate::history::History;
 use crate::similarity::metric::{Metric, kl};
 use trestle_proto::batch::Transition;
 
-/// Stores a transition of `actor`, in place of the oldest one if the history is full. Its number, and what it adds to
-/// the graph (nothing if there is none).
+/// Stores a transition of `actor`, in place of the oldest one if the history is full. Returns its number and its effect
+/// on the graph (nothing without a graph).
 pub fn store(
     history: &mut History,
     mut graph: Option<&mut Graph>,

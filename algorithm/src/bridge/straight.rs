@@ -1,7 +1,7 @@
 //! Straight bridges: the newest transition as the last step of a path of predecessors.
 //!
 //! Such a path is a stretch of one actor's episode, so its beginning is one of the last k transitions. This finds every
-//! bridge that cross-referencing is not needed for, at a cost of k look-ups at most.
+//! bridge that needs no cross-referencing, at a cost of k look-ups at most.
 
 use super::{Path, Place, improve};
 use crate::demonstration::transitions;

@@ -24,12 +24,12 @@ type Move = (u32, u8, i8, u8, bool);
 struct World {
     mentor: Vec<Vec<(i8, i8)>>,
     moves: Vec<Move>,
-    /// Size of the grid, and what its steps are multiplied with: 1 for whole cells, less where similarity reaches
-    /// farther than a step and is not transitive.
+    /// Size of the grid, and the factor of its steps: 1 for whole cells, less where similarity reaches farther than a
+    /// step and is not transitive.
     side: i8,
     step: f32,
     e_th: f32,
-    /// What each feature takes of x and of y: 1 to 16 features, perhaps on a line, perhaps all points equal.
+    /// The factors of x and of y in each feature: 1 to 16 features, perhaps on a line, perhaps all points equal.
     features: Vec<(f32, f32)>,
     /// How far places are moved about, so that hardly any state repeats; 0 for none.
     jitter: f32,
@@ -90,7 +90,7 @@ impl World {
     }
 }
 
-/// What the tests need of a mentor-server, without action inference, so that feasibility can be set at will.
+/// The part of a mentor-server that the tests need, without action inference, so that feasibility can be set at will.
 struct Bench {
     metric: Metric,
     history: History,
@@ -161,7 +161,7 @@ fn is_real(history: &History, j: usize, bridge: &Bridge<'_>, cross_reference: bo
     })
 }
 
-/// The best bridge so far: what decides, action, s', whether that is terminal.
+/// The best bridge so far: its quality, its action, s', and whether s' is terminal.
 type Ever = (Quality, u32, Vec<f32>, bool);
 
 /// The best path for mentor transition `j` through transition `index`, the newest, its first transition, and the place of
@@ -175,7 +175,7 @@ fn through(history: &History, index: u64, j: usize, path: &Path<'_>) -> Option<(
         !before.ends_episode() && similar(whitened(before.to), whitened(history.get(next).from))
     };
     let t = history.get(index);
-    // What has been there before makes no new path, but perhaps a better first step.
+    // A link that existed before makes no new path, but perhaps a better first step.
     let repeated = all().filter(|&other| {
         let other_t = history.get(other);
         let goes_on = t.ends_episode() || !other_t.ends_episode();
@@ -212,9 +212,9 @@ fn through(history: &History, index: u64, j: usize, path: &Path<'_>) -> Option<(
     None
 }
 
-/// What is expected after transition `index`: without cross-referencing, and in a world where states are equal or
-/// dissimilar, the best bridge that has ever been in the history; otherwise one as short, and of equally long ones what the
-/// rule of [`super`] leaves.
+/// The expected bridges after transition `index`. Without cross-referencing, and in a world where states are equal or
+/// dissimilar, each is the best that has ever been in the history. Otherwise each is as short as that, and the rule of
+/// [`super`] decides between equally long ones.
 fn expect(
     ever: Option<Ever>,
     (history, index, j): (&History, u64, usize),

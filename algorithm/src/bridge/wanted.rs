@@ -1,9 +1,9 @@
-//! Which bridges a search is for: those that a path through the newest transition could still improve, by what distances
+//! The aims of a search: the bridges that a path through the newest transition could still improve, as far as distances
 //! allow.
 //!
 //! A step changes the whitened state by the longest stored step at most, and the join before it by the radius of
-//! similarity. So a state that is farther away than so many of both cannot be reached, or left, in so many steps. What
-//! this rules out is not looked at; nothing that could improve a bridge is ever ruled out.
+//! similarity. So a state that is farther away than i of both cannot be reached, or left, in i steps. The search does not
+//! look at states that this rules out. It never rules out a state that could improve a bridge.
 
 use super::frontier::Marks;
 use super::outlook::{Outlook, Stock};
@@ -23,7 +23,7 @@ const SHORTER: f64 = 0.999;
 pub(super) struct Reach {
     /// The radius of similarity.
     pub(super) radius: f64,
-    /// What a join and a step change at most.
+    /// The largest change by a join and a step.
     stride: f64,
 }
 
@@ -94,7 +94,7 @@ pub(super) struct Goal {
 }
 
 impl Goal {
-    /// Adds this one to `goals`, or widens what is there for the same mentor state. False if there are `most` already.
+    /// Adds this goal to `goals`, or widens the goal of the same mentor state. False if there are `most` already.
     fn join(self, most: usize, goals: &mut Vec<Self>) -> bool {
         let full = goals.len() == most;
         match goals.iter_mut().find(|goal| goal.m == self.m) {
@@ -156,8 +156,8 @@ impl Scratch {
 }
 
 impl Newest<'_> {
-    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve: those that t may be the first
-    /// step for, those that it may be the last step for, and those that leave room for more on both sides.
+    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve: with t as its first step, with t
+    /// as its last step, or with room for more steps on both sides.
     pub(super) fn collect(
         &self,
         table: &AnnotationTable,
@@ -190,7 +190,7 @@ impl Newest<'_> {
         }
     }
 
-    /// What is wanted of mentor transition `j`, which begins at KL `start_kl` from s, if anything.
+    /// The entry for mentor transition `j`, which begins at KL `start_kl` from s, if its bridge may be improved.
     fn want(
         &self,
         j: usize,

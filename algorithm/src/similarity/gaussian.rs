@@ -1,5 +1,5 @@
 //! Covariance matrices in double precision: the Cholesky factor, and the KL divergence of two normals with different
-//! covariances, the general formula that the state distance is a special case of.
+//! covariances. The state distance is a special case of that formula.
 //!
 //! Matrices are square, row-major slices of `dim * dim` numbers.
 
@@ -28,8 +28,8 @@ pub enum GaussianError {
     },
 }
 
-/// The lower triangular L with L Lᵀ = `covariance` (symmetric, `dim * dim`; only its lower half is read). What stands
-/// above the diagonal of the result is 0.
+/// The lower triangular L with L Lᵀ = `covariance` (symmetric, `dim * dim`; only its lower half is read). Above the
+/// diagonal the result is 0.
 ///
 /// # Errors
 /// A covariance that is not positive definite to machine precision.

@@ -61,7 +61,7 @@ impl Similarity {
         hits.sort_unstable_by_key(|hit| hit.state);
     }
 
-    /// Fills `hits` with those of the mentor states `among` that are similar to the whitened `state`, in their order.
+    /// Fills `hits` with the mentor states of `among` that are similar to the whitened `state`, in their order.
     pub fn among(&self, state: &[f32], among: impl Iterator<Item = u32>, hits: &mut Vec<Hit>) {
         hits.clear();
         let each = among.map(|m| Hit { state: m, kl: kl(state, self.state(m as usize)) });

@@ -53,10 +53,10 @@ enum Whitener {
 impl Metric {
     /// The metric of a configuration.
     ///
-    /// `states` are all mentor states, row-major. `scale` are the environment's feature scales, the standard deviations of [`CovarianceKind::Space`]. For
-    /// [`CovarianceKind::Demonstration`] they are the larger of `sigma_floor` and what the demonstration's states
-    /// show; for [`CovarianceKind::Full`] `sigma_floor`² is added to every variance, so that a constant feature
-    /// divides nothing by 0.
+    /// `states` are all mentor states, row-major. `scale` are the environment's feature scales, the standard deviations of
+    /// [`CovarianceKind::Space`]. For [`CovarianceKind::Demonstration`] each standard deviation is that of the
+    /// demonstration's states, but at least `sigma_floor`. For [`CovarianceKind::Full`] `sigma_floor`² is added to every
+    /// variance, so that a constant feature divides nothing by 0.
     ///
     /// # Errors
     /// Scales out of range, states that are not whole, a full covariance that is not positive definite.

@@ -1,4 +1,4 @@
-//! Point sets for properties: random ones, and those that indexes get wrong.
+//! Point sets for properties: random ones, and sets that indexes tend to get wrong.
 
 use proptest::prelude::*;
 

@@ -2,8 +2,8 @@
 //! action inference.
 //!
 //! The points are sorted by repeated halving along the widest side of their box and never move. Halving is by
-//! position, not by value, so any number of equal points is as good as any other set. Boxes only rule out what cannot
-//! be in reach; every point that remains is tested, so what is found is exact.
+//! position, not by value, so any number of equal points is as good as any other set. Boxes only rule out points that
+//! cannot be in reach. Every point that remains is tested, so the result is exact.
 //!
 //! A node has up to [`WIDTH`] children, whose corners lie together, feature by feature, so that a query compares itself with
 //! all of them at once. The points of a leaf form groups of [`WIDTH`] that are compared in the same way and lie one after the
@@ -19,7 +19,7 @@ const HALVINGS: u32 = WIDTH.ilog2();
 /// number of squares (two states of 4096 features) in different orders differ by a thousandth at most.
 const MARGIN: f32 = 0.998;
 
-/// One number for each child or point of a node; what is said of those that it does not have means nothing.
+/// One number for each child or point of a node; the numbers of absent ones mean nothing.
 pub type Lanes = [f32; WIDTH];
 
 #[derive(Clone, Debug)]
@@ -39,18 +39,18 @@ pub struct Tree {
     dim: usize,
     /// Rows of a node. All have as many, so that they are found, and fetched, without a look at the node itself.
     stride: usize,
-    /// The points' numbers, those of a leaf side by side.
+    /// The points' numbers, a leaf's side by side.
     order: Vec<u32>,
     nodes: Vec<Node>,
-    /// Of a node: the lower corners of its children's boxes, feature by feature, and then the upper ones. Of a leaf: the
-    /// points, `dim` rows a group. What rows remain mean nothing.
+    /// For a node: the lower corners of its children's boxes, feature by feature, and then the upper ones. For a leaf: the
+    /// points, `dim` rows a group. The remaining rows mean nothing.
     rows: Vec<Lanes>,
 }
 
 impl Tree {
     /// A tree over `points` (row-major, `dim` numbers each, all finite, fewer than 2^31 points) with up to `leaf` points in a
-    /// leaf, at least 1. The larger it is, the more points are looked at one after the other, and the fewer boxes, each of which is
-    /// somewhere else in memory.
+    /// leaf, at least 1. With larger leaves a query reads more points one after the other, and fewer boxes, which lie far
+    /// apart in memory.
     pub fn new(points: &[f32], dim: usize, leaf: usize) -> Self {
         let count = points.len() / dim;
         let order = (0..count as u32).collect();
@@ -146,7 +146,7 @@ impl Tree {
     }
 
     /// For each child of node `at` a lower bound of the KL divergence (half the squared distance) of the point `query` to
-    /// every point below the child, as [`super::metric::kl`] would compute it in whatever order of summation.
+    /// every point below the child, as [`super::metric::kl`] would compute it in any order of summation.
     pub fn lower_bounds(&self, at: usize, query: &[f32]) -> Lanes {
         let (low, high) = self.rows[at * self.stride..][..2 * self.dim].split_at(self.dim);
         let mut sum = [0.0; WIDTH];
@@ -163,7 +163,7 @@ impl Tree {
     }
 
     /// The KL divergence of each point of group `group` of leaf `at`, which has the points from `group * WIDTH` on, from `query`
-    /// in the features from `first` on, as many as `query` has; bit for bit that of [`super::metric::kl`].
+    /// in the features from `first` on, as many as `query` has. It equals [`super::metric::kl`] bit for bit.
     pub fn kl(&self, at: usize, group: usize, first: usize, query: &[f32]) -> Lanes {
         let mut sum = [0.0; WIDTH];
         let rows = &self.rows[at * self.stride + group * self.dim + first..];
@@ -175,8 +175,8 @@ impl Tree {
         sum.map(|sum| 0.5 * sum)
     }
 
-    /// Brings `maxima`, the largest of some number that each point has for each node, up to date where that of leaf `leaf`
-    /// has fallen to `largest`.
+    /// Updates `maxima` after the maximum of leaf `leaf` has fallen to `largest`. `maxima` has, for each node, the largest
+    /// of some number that each point has.
     pub fn lower<T: Copy + PartialOrd>(&self, maxima: &mut [T], leaf: usize, largest: T) {
         let (mut at, mut largest) = (leaf, largest);
         while largest < maxima[at] {
@@ -214,8 +214,8 @@ impl Tree {
     }
 }
 
-/// The first `count` lanes in which `kl` is `reach` or less. By way of bits: which they are nobody can predict, how many there
-/// are is better known.
+/// The lanes among the first `count` in which `kl` is `reach` or less. It goes by way of bits: the processor predicts their
+/// number better than their places.
 fn in_reach(kl: &Lanes, reach: f32, count: usize) -> impl Iterator<Item = usize> {
     let all = kl.iter().zip(0..).fold(0u32, |bits, (&kl, lane)| bits | u32::from(kl <= reach) << lane);
     let mut bits = all & ((1 << count) - 1);
