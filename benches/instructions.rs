@@ -3,7 +3,7 @@
 //! costs the allocator. `benches/instructions.sh` runs it.
 
 use anyhow::{Context, Result, bail};
-use trestle_actor::env;
+use trestle_actor::env::registry;
 use trestle_actor::worker::Worker;
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::demonstration::Demonstration;
@@ -58,11 +58,11 @@ fn ticks(times: u64) -> Result<()> {
         Isa::detect()
     );
     let sets = ["run.algo=\"ha-diiqn\"", "learner.warmup=32", "learner.replay=4096"].map(String::from);
-    let mut config = config::load("maze30", &sets)?;
-    env::resolve(&mut config.env, config.run.seed)?;
-    let spec = env::build(&config.env)?.spec().clone();
+    let mut config = config::load(registry(), "maze30", &sets)?;
+    registry().resolve(&mut config.env, config.run.seed)?;
+    let spec = registry().build(&config.env)?.spec().clone();
     let mut demonstration = Demonstration::new((0..spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
-    let states = env::plan_states(&config.env, &config.mentor.actions)?;
+    let states = registry().plan_states(&config.env, &config.mentor.actions)?;
     demonstration.push_trajectory(&states.concat(), true)?;
     let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
     let plan = RunPlan {

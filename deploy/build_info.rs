@@ -1,8 +1,8 @@
 //! What was built, for `build.json`: version, commit, processor features, back ends.
 
 use serde::Serialize;
-use trestle_actor::env::point_maze::{EngineInfo, engine_info};
-use trestle_proto::config;
+use trestle_actor::env::registry;
+use trestle_proto::config::{self, Environments, Table};
 
 /// The contents of `build.json`.
 #[derive(Debug, Serialize)]
@@ -15,10 +15,10 @@ pub(crate) struct BuildInfo {
     /// Instruction set that the kernels use on this machine, and all that they could use.
     isa: String,
     cpu_features: Vec<String>,
-    /// The environments' engines.
-    backends: &'static [&'static str],
-    /// What computes this run's Point Maze; none for another environment.
-    physics: Option<EngineInfo>,
+    /// The environments that a configuration can choose.
+    backends: Vec<&'static str>,
+    /// What computes this run's environment; none where that is Trestle itself.
+    physics: Option<Table>,
 }
 
 impl BuildInfo {
@@ -31,8 +31,9 @@ impl BuildInfo {
             target: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             isa: trestle_qnet::Isa::detect().to_string(),
             cpu_features: trestle_qnet::Isa::available().map(|isa| isa.to_string()).collect(),
-            backends: &["maze", "point-maze builtin", "point-maze mujoco"],
-            physics: engine_info(env),
+            backends: registry().names(),
+            // A resolved configuration's settings are accepted.
+            physics: registry().engine(env).ok().flatten(),
         }
     }
 }

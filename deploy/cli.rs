@@ -216,7 +216,7 @@ pub(crate) struct Record {
     /// The file to write
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Record episodes that do not reach the goal as well
+    /// Record episodes that do not succeed as well
     #[arg(long)]
     pub(crate) all: bool,
     /// Replace the file if it exists

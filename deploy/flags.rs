@@ -5,7 +5,8 @@ use clap::error::ErrorKind;
 use clap::{Arg, Args, Command};
 use std::ffi::OsStr;
 use std::marker::PhantomData;
-use trestle_proto::config::{Choice, Config, Field, PRESETS};
+use trestle_actor::env::registry;
+use trestle_proto::config::{Choice, Config, Environments, Field};
 
 /// How long a run is.
 #[derive(Clone, Copy, Debug, Default, Args)]
@@ -41,9 +42,10 @@ pub(crate) fn help(key: &str) -> String {
 
 /// All presets, a line each.
 pub(crate) fn presets() -> String {
-    let width = PRESETS.iter().map(|preset| preset.name.len()).max().unwrap_or(0);
+    let presets = registry().presets();
+    let width = presets.iter().map(|preset| preset.name.len()).max().unwrap_or(0);
     let line = |name: &str, about: &str| format!("\n  {name:width$}  {about}");
-    PRESETS.iter().fold("Presets:".into(), |text, preset| text + &line(preset.name, preset.about()))
+    presets.iter().fold("Presets:".into(), |text, preset| text + &line(preset.name, preset.about()))
 }
 
 /// Reads a word of `T`.

@@ -11,6 +11,7 @@ mod flags;
 mod prepare;
 mod reference;
 mod status;
+mod stored;
 mod supervise;
 mod sweep;
 

@@ -2,7 +2,8 @@
 
 use crate::util::{Place, available, start_under, trestle};
 use std::fs;
-use trestle_proto::config;
+use trestle_actor::env::registry;
+use trestle_proto::config::{self, Environments};
 
 const LENGTH: [&str; 4] = ["--env-steps", "5000", "--seed", "3"];
 
@@ -41,10 +42,10 @@ fn a_file_may_build_on_a_preset_and_a_map_file() {
 
 #[test]
 fn presets_are_shown_and_checked() {
-    for preset in config::PRESETS.map(|preset| preset.name) {
+    for preset in registry().presets().iter().map(|preset| preset.name) {
         let shown = trestle(&["config", "show", preset]).ok();
         let parsed = config::parse_toml(preset, &shown.stdout).unwrap();
-        assert_eq!(parsed, config::load(preset, &[]).unwrap());
+        assert_eq!(parsed, config::load(registry(), preset, &[]).unwrap());
         let checked = trestle(&["config", "check", preset]).ok();
         assert!(checked.stdout.contains("a run could start"), "{checked:?}");
         // What a run counts as solved by: a maze knows its best return, the others name theirs.

@@ -5,7 +5,8 @@
 
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
-use trestle_actor::env::maze::Map;
+use trestle_actor::env::grid::Map;
+use trestle_actor::env::registry;
 use trestle_actor::worker::{STATE_KIND, Worker};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
 use trestle_learner::checkpoint;
@@ -13,7 +14,7 @@ use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, KNOWN_FLAGS};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
 use trestle_proto::mentor::MentorTransitions;
@@ -63,7 +64,7 @@ fn messages(bytes: &[u8]) {
         for index in 0..batch.len() {
             let t = batch.transition(index);
             assert!(t.obs.iter().chain(t.next_obs).chain([&t.reward]).all(|x| x.is_finite()));
-            assert!((t.action as usize) < ACTIONS && t.flags < 8);
+            assert!((t.action as usize) < ACTIONS && t.flags & !KNOWN_FLAGS == 0);
         }
     }
     let (tick, _) = message::<Tick>(bytes);
@@ -117,11 +118,16 @@ fn framed(kind: Kind, body: &[u8]) -> Vec<u8> {
     [&kind.magic[..], &kind.version.to_le_bytes(), &length, &checksum, body].concat()
 }
 
+/// A configuration with every setting.
+fn complete() -> Config {
+    config::from_table(registry(), config::Table::new(), &["run.episodes=1".into()]).unwrap()
+}
+
 /// An actor on the smallest of mazes.
 fn worker() -> Worker {
-    let mut config = Config::default();
-    config.env.layout = Some("S.\n.G\n".into());
-    let env = trestle_actor::env::build(&config.env).unwrap();
+    let mut config = complete();
+    config.env.own.insert("map_text".into(), "S.\n.G\n".into());
+    let env = registry().build(&config.env).unwrap();
     let spec = env.spec().clone();
     Worker::new(
         &RunPlan {
@@ -221,7 +227,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let answer = ObserveAnswer { count: 2, ..ObserveAnswer::default() };
     let mut table = Vec::new();
     AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
-    let config = Config::default();
+    let config = complete();
     let evaluation = Evaluation { evaluation: 3, episodes: Vec::new() };
     let snapshot = worker().snapshot().unwrap();
     let mut replay = Replay::new(8, DIM).unwrap();

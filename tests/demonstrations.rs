@@ -84,7 +84,7 @@ fn a_trained_run_is_recorded() {
         .train("mentor", &["maze-small", "--algo", "dqn", "--seed", "1", "--episodes", "300", "--set", &map]);
     let (run, out, again) = (place.path("mentor"), place.path("demo.csv"), place.path("again.csv"));
     let recorded = trestle(&["demo", "record", &run, "--out", &out]).ok();
-    assert!(recorded.stdout.contains("10 of 10 greedy episodes reach the goal"), "{recorded:?}");
+    assert!(recorded.stdout.contains("10 of 10 greedy episodes succeed"), "{recorded:?}");
     assert!(recorded.stdout.contains("9 episodes that repeat an earlier one"), "{recorded:?}");
     let text = fs::read_to_string(&out).unwrap();
     assert!(
@@ -104,7 +104,7 @@ fn a_trained_run_is_recorded() {
     );
     let (young, none) = (place.path("young"), place.path("none.csv"));
     let args = ["demo", "record", &young, "--out", &none, "--episodes", "2"];
-    trestle(&args).refused(&["0 of 2 greedy episodes reach the goal", "mean return", "--all"]);
+    trestle(&args).refused(&["0 of 2 greedy episodes succeed", "mean return", "--all"]);
     assert!(!Path::new(&none).exists());
     trestle(&[&args[..], &["--all"]].concat()).ok();
     let text = fs::read_to_string(&none).unwrap();

@@ -6,7 +6,9 @@ use crate::util::{Place, trestle};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs;
-use trestle_proto::config::{Config, Field, Setting};
+use std::path::{Path, PathBuf};
+use trestle_actor::env::registry;
+use trestle_proto::config::{Environments, Setting, declared};
 
 const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/configuration.md");
 /// What stands before a table, with the key of the settings' table, and after it.
@@ -37,7 +39,7 @@ fn rows<'a>(settings: impl Iterator<Item = &'a Setting>) -> String {
 
 #[test]
 fn every_setting_is_documented_as_it_is_declared() {
-    let settings = Config::declared("");
+    let settings = declared(registry());
     let text = fs::read_to_string(PATH).unwrap();
     let mut parts = text.split(BEGIN);
     let mut written = parts.next().unwrap().to_string();
@@ -58,10 +60,63 @@ fn every_setting_is_documented_as_it_is_declared() {
 }
 
 #[test]
+fn every_preset_is_documented() {
+    let text = fs::read_to_string(PATH).unwrap();
+    for preset in registry().presets() {
+        let row = format!("| `{}` | {} |", preset.name, preset.about());
+        assert!(text.contains(&row), "docs/configuration.md lacks: {row}");
+    }
+}
+
+/// An environment is its folder and a line of the registry: nothing else names its modules.
+#[test]
+fn nothing_but_the_registry_names_an_environment() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let modules: Vec<String> = registry().names().iter().map(|name| name.replace('-', "_")).collect();
+    let mut sources = Vec::new();
+    for part in [
+        "actor",
+        "algorithm",
+        "benches",
+        "deploy",
+        "examples",
+        "learner",
+        "mentor-server",
+        "proto",
+        "qnet",
+        "tests",
+    ] {
+        rust_files(&root.join(part), &mut sources);
+    }
+    assert!(sources.len() > 100, "{}", sources.len());
+    for path in sources {
+        let text = fs::read_to_string(&path).unwrap();
+        let below = path.strip_prefix(root.join("actor/src/env"));
+        for module in &modules {
+            let own = below.as_ref().is_ok_and(|path| path.starts_with(module));
+            let home = below.as_ref().is_ok_and(|path| *path == Path::new("mod.rs"));
+            let named = text.contains(&format!("env::{module}")) || text.contains(&format!(" {module}::"));
+            assert!(own || home || !named, "{} names the environment `{module}`", path.display());
+        }
+    }
+}
+
+fn rust_files(dir: &Path, found: &mut Vec<PathBuf>) {
+    let Ok(entries) = fs::read_dir(dir) else { return };
+    for path in entries.map(|entry| entry.unwrap().path()) {
+        if path.is_dir() {
+            rust_files(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
 fn settings_are_listed_and_found() {
     let _place = Place::new();
     let all = trestle(&["config", "list"]).ok().stdout;
-    assert!(Config::declared("").iter().all(|setting| all.contains(&format!("{}: ", setting.key))), "{all}");
+    assert!(declared(registry()).iter().all(|setting| all.contains(&format!("{}: ", setting.key))), "{all}");
     let one = trestle(&["config", "list", "run.mode"]).ok().stdout;
     assert!(
         one.starts_with("run.mode: choice, default \"lockstep\", accepted: lockstep, free, reference\n"),

@@ -24,12 +24,12 @@ fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
 #[test]
 fn lockstep_is_the_single_process_loop_and_a_resumed_run_an_undisturbed_one() {
     let place = Place::new();
-    let args = with(&["--set", "env.point_maze.backend=builtin", "--env-steps", "6400"]);
+    let args = with(&["--set", "env.backend=builtin", "--env-steps", "6400"]);
     let whole = place.train("whole", &args);
     assert!(whole.result.grad_steps > 1000, "{:?}", whole.result);
     assert_eq!(place.train("reference", &[&args[..], &["--mode", "reference"]].concat()), whole);
 
-    let part = with(&["--set", "env.point_maze.backend=builtin", "--env-steps", "3200"]);
+    let part = with(&["--set", "env.backend=builtin", "--env-steps", "3200"]);
     place.train("part", &part);
     start(&place.training("part", &[&args[..], &["--resume"]].concat())).finish().ok();
     assert_eq!(Trace::of(&place.run("part")).weights_sha256, whole.weights_sha256);
@@ -80,7 +80,9 @@ fn mistakes_are_refused_before_anything_starts() {
     refused(&["env.step_limit=120"], &["eval.threshold = -0.12", "above -0.120"]);
     refused(&["env.encoding=one-hot"], &["env.encoding = one-hot", "coordinates"]);
     refused(&["env.actions=irregular"], &["env.actions = irregular", "orthogonal, diagonal"]);
-    refused(&["env.point_maze.frame_skip=0"], &["env.point_maze.frame_skip = 0", "1 to 100"]);
+    refused(&["env.frame_skip=0"], &["env.frame_skip = 0", "1 to 100"]);
+    refused(&["env.point-maze.frame_skip=0"], &["env.frame_skip = 0", "1 to 100"]);
+    refused(&["env.point_maze.frame_skip=2"], &["env.point_maze", "did you mean `env.point-maze`?"]);
 }
 
 #[test]

@@ -5,6 +5,7 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use trestle_actor::env::registry;
 use trestle_learner::checkpoint;
 use trestle_proto::config;
 use trestle_proto::rundir::RunDir;
@@ -38,9 +39,9 @@ fn heterogeneous_imitation_solves_the_small_maze() {
 fn check_documents(dir: &RunDir, args: &[&str]) {
     let text = fs::read_to_string(dir.config()).unwrap();
     let resolved = config::parse_toml("config.toml", &text).unwrap();
-    assert!(resolved.env.layout.is_some(), "the map itself is in the resolved configuration");
-    let mut expected = config::load("maze-small", &["run.seed=7".into()]).unwrap();
-    expected.env.layout = resolved.env.layout.clone();
+    let map = resolved.env.own.get("map_text").expect("the map itself is in the resolved configuration");
+    let mut expected = config::load(registry(), "maze-small", &["run.seed=7".into()]).unwrap();
+    expected.env.own.insert("map_text".into(), map.clone());
     assert_eq!(resolved, expected);
 
     let command = fs::read_to_string(dir.command()).unwrap();

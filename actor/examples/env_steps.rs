@@ -5,27 +5,18 @@
 use rand::Rng;
 use std::error::Error;
 use std::time::Instant;
-use trestle_actor::env::{build, point_maze, resolve};
-use trestle_proto::config::{Env, EnvKind, PhysicsBackend, PointMaze};
+use trestle_actor::env::registry;
+use trestle_proto::config;
 use trestle_proto::rng::{Purpose, stream};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let backend = match args.next().as_deref() {
-        Some("builtin") => PhysicsBackend::Builtin,
-        Some("mujoco") => PhysicsBackend::Mujoco,
-        other => return Err(format!("{other:?}; accepted: builtin, mujoco").into()),
-    };
+    let backend = args.next().ok_or("accepted: builtin or mujoco, and a number of steps")?;
     let steps: u64 = args.next().unwrap_or("1000000".into()).parse()?;
-    let mut config = Env {
-        kind: EnvKind::PointMaze,
-        map: "medium".into(),
-        actions: "diagonal".into(),
-        point_maze: PointMaze { backend, ..PointMaze::default() },
-        ..Env::default()
-    };
-    resolve(&mut config, 0)?;
-    let mut env = build(&config)?;
+    let sets = [format!("env.backend={backend}"), "env.frame_skip=1".into()];
+    let mut config = config::load(registry(), "point-maze", &sets)?.env;
+    registry().resolve(&mut config, 0)?;
+    let mut env = registry().build(&config)?;
     let mut rng = stream(0, Purpose::Environment, 0);
     let mut obs = vec![0.0; env.spec().obs_dim()];
     env.reset(&mut rng, &mut obs);
@@ -38,11 +29,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     let seconds = started.elapsed().as_secs_f64();
-    let version = point_maze::engine_info(&config).and_then(|info| info.version);
+    let engine = registry().engine(&config)?.unwrap_or_default();
+    let version = engine.get("version").map_or("null".into(), |version| version.to_string());
     println!(
-        "{{\"backend\": \"{}\", \"version\": {}, \"steps\": {steps}, \"ns\": {:.1}}}",
-        backend.name(),
-        version.map_or("null".into(), |version| format!("\"{version}\"")),
+        "{{\"backend\": \"{backend}\", \"version\": {version}, \"steps\": {steps}, \"ns\": {:.1}}}",
         seconds * 1e9 / steps as f64
     );
     Ok(())

@@ -1,14 +1,14 @@
 //! One actor without any transport: it collects batches, plays greedy evaluations, and can be saved and restored.
 
 use crate::env::hazard::Hazards;
-use crate::env::{EnvError, Environment, build};
+use crate::env::{EnvError, Environment, registry};
 use crate::guide::Guide;
 use crate::policy::Policy;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use trestle_algorithm::similarity::metric::MetricError;
 use trestle_link::pulse;
-use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
@@ -16,7 +16,7 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
-use trestle_proto::space::reported;
+use trestle_proto::space::{Success, reported};
 use trestle_proto::tick::Tick;
 use trestle_qnet::{PlanError, kernels_of, network_of};
 
@@ -154,6 +154,8 @@ pub struct Worker {
     env: Box<dyn Environment>,
     /// For greedy episodes, so that they leave `env` alone.
     evaluation_env: Box<dyn Environment>,
+    /// What counts as an episode's success.
+    success: Success,
     explore: Stream,
     environment: Stream,
     /// Where `env` is.
@@ -205,7 +207,7 @@ impl Worker {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
         }
         let hazards = Hazards::new(hazard);
-        let mut env = hazards.around(build(&plan.config.env)?, HazardScope::Training);
+        let mut env = hazards.around(registry().build(&plan.config.env)?, HazardScope::Training);
         if *env.spec() != plan.spec {
             let (planned, built) = (plan.spec.name.clone(), env.spec().name.clone());
             return Err(ActorError::Spec { planned, built });
@@ -227,7 +229,8 @@ impl Worker {
             guide: Guide::new(plan)?,
             guide_len: plan.guide_len(),
             env,
-            evaluation_env: hazards.around(build(&plan.config.env)?, HazardScope::Evaluation),
+            evaluation_env: hazards.around(registry().build(&plan.config.env)?, HazardScope::Evaluation),
+            success: plan.success(),
             explore: stream(run.seed, Purpose::Explore, who),
             environment,
             obs,
@@ -318,7 +321,8 @@ impl Worker {
             check_finite(self.index, Moment::Steps(self.seq), &self.next_obs, step.reward)?;
             let flags = if self.first { FIRST } else { 0 }
                 | if step.terminated { TERMINATED } else { 0 }
-                | if step.truncated { TRUNCATED } else { 0 };
+                | if step.truncated { TRUNCATED } else { 0 }
+                | if step.success { SUCCEEDED } else { 0 };
             let (obs, next_obs) = (&self.obs, &self.next_obs);
             batch.set(s as usize, &Transition { obs, next_obs, action, reward: step.reward, flags });
             self.seq += 1;
@@ -379,21 +383,24 @@ impl Worker {
             }
             fits
         };
-        let (mut whole, mut success) = (record(&self.evaluation_obs), None);
-        while success.is_none() {
+        record(&self.evaluation_obs);
+        let (last, whole) = loop {
             let action = self.policy.greedy(params, &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
             check_finite(index, moment, &self.evaluation_obs, step.reward)?;
-            total_reward += reported(step.reward, step.terminated, goal_bonus);
+            total_reward += reported(step.reward, step.success, goal_bonus);
             length += 1;
-            whole = record(&self.evaluation_obs);
-            success = (step.terminated || step.truncated).then_some(step.terminated);
-        }
+            let whole = record(&self.evaluation_obs);
+            if step.terminated || step.truncated {
+                break (step, whole);
+            }
+        };
         if !whole {
             path = Vec::new();
         }
-        Ok(EvaluationEpisode { total_reward, length, success: success == Some(true), path })
+        let success = self.success.of(last.success, total_reward);
+        Ok(EvaluationEpisode { total_reward, length, terminated: last.terminated, success, path })
     }
 
     /// All that changes while the actor collects: the environment in the middle of its episode, both random streams,

@@ -6,7 +6,7 @@ use rand::{Rng, RngCore, SeedableRng};
 use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
-use trestle_proto::config::{Config, load};
+use trestle_proto::config::{Config, Table, from_table};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::plan::{MentorPart, RunPlan};
@@ -29,7 +29,7 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         "learner.lr=0.01",
     ];
     let sets: Vec<String> = small.iter().chain(sets).map(ToString::to_string).collect();
-    let config: Config = load("maze-small", &sets).unwrap();
+    let config: Config = from_table(&(), Table::new(), &sets).unwrap();
     let spec = EnvSpec {
         name: "test".into(),
         low: vec![-4.0; 2],
@@ -39,6 +39,7 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
         goal_bonus: 0.0,
+        defines_success: true,
     };
     let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
     let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };

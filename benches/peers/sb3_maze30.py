@@ -1,4 +1,4 @@
-"""Speed of Stable-Baselines3's DQN on maze30 with the settings of proto/presets/maze30.toml; prints JSON.
+"""Speed of Stable-Baselines3's DQN on maze30 with the settings of actor/src/env/maze/presets/maze30.toml; prints JSON.
 
 Its plain DQN has no Double target: next actions are chosen and valued by the target network. For equal work run
 Trestle with learner.double=false. It also always clips the gradient's norm, here at its default of 10, so give
@@ -26,9 +26,9 @@ MAX_GRAD_NORM = 10.0
 
 def preset() -> dict:
     """The preset, refused if it asks for what the peer below would not do."""
-    settings = tomllib.loads((ROOT / "proto/presets/maze30.toml").read_text(encoding="utf-8"))
+    settings = tomllib.loads((ROOT / "actor/src/env/maze/presets/maze30.toml").read_text(encoding="utf-8"))
     env, learner = settings["env"], settings["learner"]
-    asked = (env["map"], env["actions"], env["encoding"], learner["target"])
+    asked = (env["maze"]["map"], env["maze"]["actions"], env["encoding"], learner["target"])
     if asked != ("maze30", "irregular", "coordinates", "polyak"):
         raise SystemExit(f"preset maze30 has map, actions, encoding, target = {asked}, which is not implemented here")
     return settings

@@ -97,6 +97,7 @@ impl Setup {
     /// The plan of a run with the world of [`World`], for the mentor's sake, and a network of two hidden layers.
     fn plan(self) -> Result<RunPlan> {
         let sets = [
+            "run.episodes=1".into(),
             format!("run.actors={}", self.actors),
             format!("run.rollout={}", self.rollout),
             "learner.hidden=[128, 128]".into(),
@@ -107,7 +108,7 @@ impl Setup {
         let mentors = self.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
         Ok(RunPlan {
             run,
-            config: config::load("maze30", &sets)?,
+            config: config::from_table(&(), config::Table::new(), &sets)?,
             spec: World::new(2, MENTOR, 0.0).spec(),
             mentors: mentors.into_iter().collect(),
             waypoints: None,

@@ -4,7 +4,8 @@ use crate::cli::{Config, Source};
 use crate::prepare;
 use anyhow::{Result, bail};
 use std::process::ExitCode;
-use trestle_proto::config::{self, Field};
+use trestle_actor::env::registry;
+use trestle_proto::config::{self, Environments, Field};
 use trestle_proto::names;
 
 pub(super) fn run(args: &Config) -> Result<ExitCode> {
@@ -40,7 +41,7 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
 
 /// Prints the setting `key`, the settings of the table `key`, or all.
 fn list(key: Option<&str>) -> Result<()> {
-    let all = config::Config::declared("");
+    let all = config::declared(registry());
     let below = |key: &str, of: &str| {
         of.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
     };
@@ -65,19 +66,24 @@ fn list(key: Option<&str>) -> Result<()> {
 
 /// Every setting; what is not set, which TOML cannot say, as comments.
 fn show(config: &config::Config) -> Result<()> {
-    outln!("{}", config::to_toml(config).trim_end());
-    let unset = [
-        ("run.episodes", config.run.episodes.is_none()),
-        ("run.env_steps", config.run.env_steps.is_none()),
-        ("env.layout", config.env.layout.is_none()),
-        ("eval.threshold", config.eval.threshold.is_none()),
-    ];
-    for (key, _) in unset.iter().filter(|(_, unset)| *unset) {
-        outln!("# {key} is not set");
+    let text = config::to_toml(config);
+    outln!("{}", text.trim_end());
+    let table: config::Table = text.parse()?;
+    let all = config::Config::declared("").into_iter().chain(registry().declared(&config.env.name));
+    for setting in all.filter(|setting| find(&table, &setting.key).is_none()) {
+        outln!("# {} is not set", setting.key);
     }
     Ok(())
 }
 
+/// The value of a dotted key.
+fn find<'a>(table: &'a config::Table, key: &str) -> Option<&'a config::Value> {
+    match key.split_once('.') {
+        Some((first, rest)) => find(table.get(first)?.as_table()?, rest),
+        None => table.get(key),
+    }
+}
+
 fn load(source: &Source) -> Result<config::Config> {
-    Ok(config::load(&source.config, &source.sets)?)
+    Ok(config::load(registry(), &source.config, &source.sets)?)
 }

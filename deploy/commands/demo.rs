@@ -10,6 +10,7 @@ use crate::prepare::{self, Resolved};
 use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;
+use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Algo, Config, Demos, PLAN};
@@ -17,7 +18,7 @@ use trestle_proto::config::{self, Algo, Config, Demos, PLAN};
 pub(super) fn run(args: &Demo) -> Result<ExitCode> {
     match args {
         Demo::Plan { source, out, overwrite } => {
-            let mut config = config::load(&source.config, &source.sets)?;
+            let mut config = config::load(registry(), &source.config, &source.sets)?;
             config.mentor.demo = Demos::one(PLAN);
             free(out, *overwrite)?;
             let resolved = meet(config)?;

@@ -6,31 +6,13 @@ use nix::sys::resource::{Resource, getrlimit};
 use nix::sys::statvfs::statvfs;
 use std::fs;
 use std::process::ExitCode;
-use trestle_actor::env::point_maze::mujoco::{self, MujocoError};
+use trestle_actor::env::registry;
 use trestle_link::iceoryx::Domain;
 
 /// Shared memory below which a run of the usual size may not fit, bytes.
 const LITTLE_SHARED_MEMORY: u64 = 64 << 20;
 /// Open files below which a run of many actors may not fit: each holds some ten descriptors a peer.
 const FEW_FILES: u64 = 1024;
-
-/// What a Point Maze would be computed by, and why.
-fn physics(line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
-    match mujoco::find() {
-        Ok(found) => {
-            for reason in found.passed_over() {
-                line(true, format!("Point Maze: passed over {reason}"))?;
-            }
-            line(true, format!("Point Maze: MuJoCo {}, {}", found.version(), found.path().display()))
-        }
-        Err(error @ MujocoError::Missing { .. }) => {
-            line(true, format!("Point Maze: built-in physics, because {error}"))
-        }
-        Err(error) => {
-            line(false, format!("Point Maze: MUJOCO_LIB names a library that cannot be used: {error}"))
-        }
-    }
-}
 
 /// This user's runs: how many live, and what dead ones have left, which goes if it is to be fixed.
 fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
@@ -81,7 +63,9 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()))?;
-    physics(&mut line)?;
+    for finding in registry().diagnose() {
+        line(finding.sound, finding.text)?;
+    }
     runs(args.fix, &mut line)?;
     ensure!(sound, "something needs attention");
     Ok(ExitCode::SUCCESS)

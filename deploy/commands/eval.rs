@@ -1,9 +1,10 @@
 //! `trestle eval`
 
 use crate::cli::Eval;
+use crate::stored::read_plan;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use trestle_actor::env::draw;
+use trestle_actor::env::registry;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
@@ -13,7 +14,7 @@ use trestle_proto::tick::{EVALUATE, Tick};
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     logging::init(0, "eval", "warn");
     let dir = RunDir::new(&args.run);
-    let plan = dir.read_plan()?;
+    let plan = read_plan(&dir)?;
     let (tick, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
@@ -38,12 +39,17 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     outln!("  episodes      {}", evaluation.episodes.len());
     outln!("  mean return   {:.3}", mean(&|e| e.total_reward));
     outln!("  mean steps    {:.1}", mean(&|e| e.length as f64));
-    outln!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success))));
+    let defined = evaluation.episodes.iter().all(|episode| episode.success.is_some());
+    if defined {
+        outln!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success == Some(true)))));
+    }
     if let Some(threshold) = plan.threshold() {
         outln!("  threshold     {threshold:.3}");
     }
-    if let Some(episode) = evaluation.episodes.first().filter(|episode| !episode.path.is_empty()) {
-        outln!("{}", draw(&plan.config.env, &[(&episode.path, 'o')])?);
+    if let Some(episode) = evaluation.episodes.first().filter(|episode| !episode.path.is_empty())
+        && let Some(drawn) = registry().draw(&plan.config.env, &[(&episode.path, 'o')])?
+    {
+        outln!("{drawn}");
     }
     Ok(ExitCode::SUCCESS)
 }

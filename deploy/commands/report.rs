@@ -3,7 +3,7 @@
 use crate::cli::Report as Args;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use trestle_actor::env::Ground;
+use trestle_actor::env::{Ground, registry};
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
@@ -17,8 +17,6 @@ use trestle_report::read::{Run, read_runs};
 use trestle_report::summary::{Group, tasks};
 use trestle_report::write::{Report, write};
 
-/// Squares along the side of a cell, where states are points.
-const FINE: usize = 4;
 /// Mazes that are drawn, at most: of the first tasks, one for each arm.
 const MAX_MAZES: usize = 24;
 
@@ -35,7 +33,9 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
                 continue;
             }
             match maze(run) {
-                Ok(maze) => mazes.push((task.name.to_string(), group.arm.to_string(), maze)),
+                Ok(Some(maze)) => mazes.push((task.name.to_string(), group.arm.to_string(), maze)),
+                // The environment has no map.
+                Ok(None) => {}
                 Err(error) => {
                     notes.push(format!("no maze of {}: {}", run.path.display(), crate::output::words(&error)))
                 }
@@ -61,9 +61,11 @@ fn middle<'a>(group: &Group<'a>) -> Option<&'a Run> {
     runs.get(runs.len().saturating_sub(1) / 2).copied()
 }
 
-/// `run` in its maze, from its newest checkpoint.
-fn maze(run: &Run) -> Result<Maze> {
+/// `run` on its map, from its newest checkpoint; none where its environment has no map.
+fn maze(run: &Run) -> Result<Option<Maze>> {
     let dir = RunDir::new(&run.path);
+    let Some(ground) = registry().ground(&run.config.env)? else { return Ok(None) };
+    let ground = ground.as_ref();
     let plan = dir.read_plan()?;
     let (tick, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
     let demonstration = match plan.mentor_len() {
@@ -71,8 +73,7 @@ fn maze(run: &Run) -> Result<Maze> {
         _ => Some(demo_file::read(&dir.demonstration())?.transitions()),
     };
     let agent = checkpoint::load(&path, &plan, demonstration.clone())?.agent;
-    let ground = Ground::of(&plan.config.env)?;
-    let map = ground.map();
+    let size = ground.size();
     let mut mentor = Vec::new();
     if let (Some(transitions), Some(rows)) = (&demonstration, agent.mentor_rows()) {
         for (j, row) in rows.enumerate() {
@@ -86,11 +87,8 @@ fn maze(run: &Run) -> Result<Maze> {
         }
     }
     let replay = agent.replay();
-    let fine = match ground {
-        Ground::Maze(_) => 1,
-        Ground::PointMaze(_) => FINE,
-    };
-    let [columns, rows] = [map.columns() * fine, map.rows() * fine];
+    let fine = ground.squares();
+    let [columns, rows] = size.map(|side| side * fine);
     let mut visits = vec![0.0; columns * rows];
     for index in replay.first_index()..replay.next_index() {
         for place in ground.places(replay.get(replay.slot(index)).transition.obs) {
@@ -100,20 +98,20 @@ fn maze(run: &Run) -> Result<Maze> {
             }
         }
     }
-    Ok(Maze {
+    Ok(Some(Maze {
         title: format!("{}, {}, seed {}", run.arm, run.task, run.config.run.seed),
-        size: [map.columns(), map.rows()],
-        walls: squares(map.columns(), map.rows()).map(|cell| !map.is_free(cell)).collect(),
-        ends: [map.start(), map.goal()].map(|cell| ground.place(cell)),
+        size,
+        walls: squares(size).map(|cell| !ground.is_free(cell)).collect(),
+        ends: ground.ends(),
         mentor,
         path: ground.places(&greedy_path(&plan, tick, agent.weights())?),
         fine,
         visits,
-        values: values(&plan, &ground, fine, agent.weights())?,
-    })
+        values: values(&plan, ground, agent.weights())?,
+    }))
 }
 
-fn squares(columns: usize, rows: usize) -> impl Iterator<Item = [usize; 2]> {
+fn squares([columns, rows]: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     (0..rows).flat_map(move |row| (0..columns).map(move |column| [column, row]))
 }
 
@@ -128,13 +126,13 @@ fn greedy_path(plan: &RunPlan, tick: u64, weights: &[f32]) -> Result<Vec<f32>> {
 }
 
 /// The largest Q-value in the middle of each square, at rest.
-fn values(plan: &RunPlan, ground: &Ground, fine: usize, weights: &[f32]) -> Result<Vec<f64>> {
+fn values(plan: &RunPlan, ground: &dyn Ground, weights: &[f32]) -> Result<Vec<f64>> {
     let (layout, encoding) = trestle_qnet::network_of(plan)?;
-    let map = ground.map();
+    let fine = ground.squares();
+    let size = ground.size().map(|side| side * fine);
     let middle = |square: [usize; 2]| square.map(|at| (at as f64 + 0.5) / fine as f64 - 0.5);
-    let all = squares(map.columns() * fine, map.rows() * fine);
-    let states: Vec<f32> = all.flat_map(|square| ground.state(middle(square))).collect();
-    let rows = map.columns() * map.rows() * fine * fine;
+    let states: Vec<f32> = squares(size).flat_map(|square| ground.state(middle(square))).collect();
+    let rows = size[0] * size[1];
     let mut x = vec![0.0; rows * layout.input()];
     encoding.encode_batch(&states, rows, &mut x);
     let mut q = vec![0.0; rows * layout.output()];

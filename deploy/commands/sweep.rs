@@ -10,6 +10,7 @@ use crate::sweep::over::cross;
 use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
 use anyhow::{Context, Result, bail, ensure};
 use std::process::ExitCode;
+use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_link::logging;
 use trestle_proto::config::Mode;
@@ -63,7 +64,7 @@ fn arms(args: &Args) -> Result<Vec<Arm>> {
     let plain = args.algos.iter().copied().map(Arm::plain);
     let mut arms: Vec<Arm> = plain.chain(args.arms.iter().cloned()).collect();
     if arms.is_empty() {
-        let config = trestle_proto::config::load(&args.source.config, &args.source.sets)?;
+        let config = trestle_proto::config::load(registry(), &args.source.config, &args.source.sets)?;
         arms.push(Arm::plain(config.run.algo));
     }
     let arms = cross(arms, &args.over);

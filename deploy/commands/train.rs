@@ -9,6 +9,7 @@ use anyhow::Result;
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_link::logging;
 use trestle_proto::config::{self, Config};
@@ -16,7 +17,8 @@ use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
-    let config = config::load_with(&args.source.config, &args.source.sets, |config| args.apply(config))?;
+    let config =
+        config::load_with(registry(), &args.source.config, &args.source.sets, |config| args.apply(config))?;
     let root = args.out.clone().unwrap_or_else(|| default_out(&args.source.config, &config));
     let existing = match (args.resume, args.overwrite) {
         (true, _) => Existing::Resume,

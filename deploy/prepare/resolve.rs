@@ -3,12 +3,13 @@
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
 use std::path::{Path, PathBuf};
+use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise};
 use trestle_link::iceoryx::services::Sizes;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Config, Demos, PLAN, PhysicsBackend, Threshold};
+use trestle_proto::config::{self, Config, Demos, PLAN, Threshold};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rundir::RunDir;
 use trestle_proto::space::EnvSpec;
@@ -55,7 +56,7 @@ impl Mentors {
 /// Resolves and checks everything about `config` that needs its map and its demonstration.
 pub(crate) fn resolve(mut config: Config) -> Result<Resolved> {
     config.validate()?;
-    trestle_actor::env::resolve(&mut config.env, config.run.seed)?;
+    registry().resolve(&mut config.env, config.run.seed)?;
     meet(config)
 }
 
@@ -74,10 +75,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.env.hazard = typed.env.hazard;
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
-    typed.env.layout.clone_from(&own.env.layout);
-    if typed.env.point_maze.backend == PhysicsBackend::Auto {
-        typed.env.point_maze.backend = own.env.point_maze.backend;
-    }
+    registry().adopt(&mut typed.env, &own.env)?;
     typed.mentor.demo = typed.mentor.demo.map_files(|name, source| {
         own.mentor.demo.get(name).filter(|own| *own != PLAN).unwrap_or(source).into()
     });
@@ -109,7 +107,7 @@ pub(super) fn copy_of(dir: &RunDir, demos: &Demos, name: &str) -> PathBuf {
 
 /// A configuration with its map meets the environment and the demonstrations.
 fn meet(mut config: Config) -> Result<Resolved> {
-    let env = trestle_actor::env::build(&config.env)?;
+    let env = registry().build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
     let mentors = if config.needs_demonstration() {
@@ -152,7 +150,7 @@ fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
 /// The demonstration from `source`: planned, or read from a file.
 fn demonstration(config: &Config, source: &str, spec: &EnvSpec) -> Result<Demonstration> {
     if source == PLAN {
-        let states = trestle_actor::env::plan_states(&config.env, &config.mentor.actions)?;
+        let states = registry().plan_states(&config.env, &config.mentor.actions)?;
         let names = (0..spec.obs_dim()).map(|i| format!("s{i}")).collect();
         let mut demonstration = Demonstration::new(names)?;
         demonstration.push_trajectory(&states.concat(), true)?;

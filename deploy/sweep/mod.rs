@@ -23,6 +23,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tokio::task::{JoinSet, LocalSet};
+use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
 use trestle_proto::rundir::{
@@ -93,7 +94,7 @@ pub(crate) fn configuration(
         limits.apply(config);
         config.run.seed = seed;
     };
-    config::load_with(source, &sets, flags).with_context(|| format!("arm {}", arm.name))
+    config::load_with(registry(), source, &sets, flags).with_context(|| format!("arm {}", arm.name))
 }
 
 /// The jobs of `arms` and `seeds` in `out`, arm by arm.
@@ -284,7 +285,7 @@ fn is_unborn(dir: &Path) -> bool {
 /// The configuration of a run that is there already, which must be what it would be now.
 fn existing(job: &Job) -> Result<Resolved> {
     let mut typed = job.config.clone();
-    trestle_actor::env::resolve(&mut typed.env, typed.run.seed)?;
+    registry().resolve(&mut typed.env, typed.run.seed)?;
     resolve_run(&job.dir, &typed)
 }
 

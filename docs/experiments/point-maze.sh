@@ -11,9 +11,9 @@ trestle=${TRESTLE:-target/release/trestle}
 # TRAIN_EVERY; solved by a path of up to SOLVED thousandths of a simulated step's reward.
 arm() {
     threshold=$(awk "BEGIN { print -$7 / $3 }")
-    echo "--arm $1:run.algo=$2,env.point_maze.frame_skip=$3,env.step_limit=$((4000 / $3)),eval.threshold=$threshold,learner.gamma=$4,exploration.epsilon_decay_steps=$5,learner.train_every=$6"
+    echo "--arm $1:run.algo=$2,env.frame_skip=$3,env.step_limit=$((4000 / $3)),eval.threshold=$threshold,learner.gamma=$4,exploration.epsilon_decay_steps=$5,learner.train_every=$6"
 }
-common="--set run.stop_when_solved=true --set checkpoint.every_env_steps=0 --set env.point_maze.backend=builtin"
+common="--set run.stop_when_solved=true --set checkpoint.every_env_steps=0 --set env.backend=builtin"
 
 # shellcheck disable=SC2046,SC2086 # Arms and settings are words.
 "$trestle" sweep point-umaze --out "$out/frame-skip-umaze" --seeds 0..3 $common \
@@ -27,7 +27,7 @@ common="--set run.stop_when_solved=true --set checkpoint.every_env_steps=0 --set
 mentor=$out/mentor.csv
 if [ ! -e "$mentor" ]; then
     "$trestle" train point-umaze --algo dqn --seed 1000 --set env.map=large --set env.actions=orthogonal \
-        --set env.point_maze.backend=builtin --out "$out/mentor"
+        --set env.backend=builtin --out "$out/mentor"
     "$trestle" demo record "$out/mentor" --episodes 1 --out "$mentor"
 fi
 guide=exploration.guide_start=0.9,exploration.guide_decay_steps=40000

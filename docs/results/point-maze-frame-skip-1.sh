@@ -6,7 +6,7 @@ set -eu
 out=${1:?the directory of the sweep}
 shift
 trestle=${TRESTLE:-target/release/trestle}
-steps="--set env.point_maze.backend=builtin --set env.point_maze.frame_skip=1 --set env.step_limit=4000 --set learner.gamma=0.995
+steps="--set env.backend=builtin --set env.frame_skip=1 --set env.step_limit=4000 --set learner.gamma=0.995
     --set learner.train_every=4 --set exploration.epsilon_decay_steps=100000 --set eval.threshold=-0.6
     --set run.stop_when_solved=true --set checkpoint.every_env_steps=0"
 mentor=$out.mentor.csv

@@ -8,11 +8,11 @@ shift
 trestle=${TRESTLE:-target/release/trestle}
 mentor=$out.mentor.csv
 if [ ! -e "$mentor" ]; then
-    "$trestle" train point-maze --algo dqn --seed 1000 --set env.actions=orthogonal --set env.point_maze.backend=builtin \
+    "$trestle" train point-maze --algo dqn --seed 1000 --set env.actions=orthogonal --set env.backend=builtin \
         --out "$out.mentor"
     "$trestle" demo record "$out.mentor" --episodes 1 --out "$mentor"
 fi
-exec "$trestle" sweep point-maze --out "$out" --seeds 0..30 --set env.point_maze.backend=builtin --set mentor.demo="$mentor" \
+exec "$trestle" sweep point-maze --out "$out" --seeds 0..30 --set env.backend=builtin --set mentor.demo="$mentor" \
     --set mentor.e_infeas=1.0 --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
     --arm dqn:run.algo=dqn \
     --arm diiqn:run.algo=diiqn,mentor.selection=min-distance \

@@ -382,7 +382,13 @@ mod tests {
 
         fn evaluates(&mut self, evaluation: u64, total_reward: f64) {
             let header = ReplyHeader { run: self.plan.run, tick: 0, actor: self.index, kind: EVALUATION };
-            let episode = EvaluationEpisode { total_reward, length: 1, success: false, path: Vec::new() };
+            let episode = EvaluationEpisode {
+                total_reward,
+                length: 1,
+                terminated: false,
+                success: Some(false),
+                path: Vec::new(),
+            };
             let evaluation = Evaluation { evaluation, episodes: vec![episode] };
             let payload = codec::encode(EVALUATION_KIND, &evaluation).unwrap();
             self.link.send_reply(&Reply { header, payload }).unwrap();
@@ -545,7 +551,13 @@ mod tests {
         }
         let asked = session.evaluate().unwrap();
         assert_eq!(asked.weights_version, 3);
-        let episode = EvaluationEpisode { total_reward: 0.0, length: 1, success: false, path: Vec::new() };
+        let episode = EvaluationEpisode {
+            total_reward: 0.0,
+            length: 1,
+            terminated: false,
+            success: Some(false),
+            path: Vec::new(),
+        };
         session.evaluated(&Evaluation { evaluation: asked.evaluation, episodes: vec![episode] }).unwrap();
         let rows = std::fs::read_to_string(dir.evals()).unwrap();
         assert_eq!(rows.lines().last().unwrap().split(',').nth(1), Some("3"), "{rows}");

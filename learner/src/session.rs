@@ -25,7 +25,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 4 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 5 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]

@@ -8,7 +8,7 @@
 //! | `count * obs_dim` | next observations s', `f32` (the state reached, also where the episode ends) |
 //! | `count` | actions, `u32` |
 //! | `count` | rewards, `f32` |
-//! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`] |
+//! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`], [`SUCCEEDED`] |
 
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
@@ -20,7 +20,10 @@ pub const TERMINATED: u32 = 1;
 pub const TRUNCATED: u32 = 2;
 /// The transition is the first of its episode (or of its actor's life).
 pub const FIRST: u32 = 4;
-const KNOWN_FLAGS: u32 = TERMINATED | TRUNCATED | FIRST;
+/// The environment says that the episode has succeeded with this transition.
+pub const SUCCEEDED: u32 = 8;
+/// All flags that a transition can have.
+pub const KNOWN_FLAGS: u32 = TERMINATED | TRUNCATED | FIRST | SUCCEEDED;
 
 /// Words that a batch of `count` transitions of `obs_dim` features takes.
 pub const fn words(count: usize, obs_dim: usize) -> usize {
@@ -129,7 +132,7 @@ pub struct Transition<'a> {
     pub action: u32,
     /// Reward r_o.
     pub reward: f32,
-    /// [`TERMINATED`] | [`TRUNCATED`] | [`FIRST`].
+    /// [`TERMINATED`] | [`TRUNCATED`] | [`FIRST`] | [`SUCCEEDED`].
     pub flags: u32,
 }
 
@@ -142,6 +145,11 @@ impl Transition<'_> {
     /// Whether s' is terminal and so has no value.
     pub fn terminated(&self) -> bool {
         self.flags & TERMINATED != 0
+    }
+
+    /// Whether the environment says that the episode has succeeded with this step.
+    pub fn succeeded(&self) -> bool {
+        self.flags & SUCCEEDED != 0
     }
 }
 

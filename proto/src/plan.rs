@@ -4,12 +4,12 @@
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind};
 use crate::limits::TRANSITIONS_BUFFER;
-use crate::space::EnvSpec;
+use crate::space::{EnvSpec, Success, least};
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
-pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 5 };
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 6 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,5 +95,14 @@ impl RunPlan {
     /// Return from which on an evaluation counts as optimal, if one is known.
     pub fn threshold(&self) -> Option<f64> {
         self.config.eval.threshold.or(self.spec.best_return)
+    }
+
+    /// What counts as the success of an episode: what the environment says, or else a return that counts as solved.
+    pub fn success(&self) -> Success {
+        match self.threshold() {
+            _ if self.spec.defines_success => Success::Said,
+            Some(threshold) => Success::Return(least(threshold, self.config.eval.tolerance)),
+            None => Success::Undefined,
+        }
     }
 }

@@ -15,7 +15,7 @@ pub const ACTOR_STATE: u32 = 2;
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
-pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 1 };
+pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 2 };
 
 /// What is sent beside a reply.
 #[repr(C)]
@@ -52,7 +52,9 @@ pub struct EvaluationEpisode {
     /// Steps.
     pub length: u64,
     /// Whether it ended in a terminal state rather than at the step limit.
-    pub success: bool,
+    pub terminated: bool,
+    /// Whether it succeeded; none where neither the environment nor a threshold says so.
+    pub success: Option<bool>,
     /// The states passed through, `length + 1` times `obs_dim` features, the first one being the start. Empty where
     /// it and the paths before it would not fit into a reply.
     pub path: Vec<f32>,

@@ -20,8 +20,10 @@ pub struct EnvSpec {
     pub actions: Vec<String>,
     /// The best return that is possible, where it is known.
     pub best_return: Option<f64>,
-    /// Part of the reward of a step into a terminal state that is the learner's alone: returns leave it out.
+    /// Part of the reward of a step that succeeds which is the learner's alone: returns leave it out.
     pub goal_bonus: f32,
+    /// Whether the environment says which episodes succeed. Where it does not, a return threshold may.
+    pub defines_success: bool,
 }
 
 /// An environment whose spaces are out of range.
@@ -62,8 +64,41 @@ pub enum SpaceError {
 }
 
 /// What a step with `reward` adds to the return that is reported: see [`EnvSpec::goal_bonus`].
-pub fn reported(reward: f32, terminated: bool, goal_bonus: f32) -> f64 {
-    f64::from(reward) - if terminated { f64::from(goal_bonus) } else { 0.0 }
+pub fn reported(reward: f32, succeeded: bool, goal_bonus: f32) -> f64 {
+    f64::from(reward) - if succeeded { f64::from(goal_bonus) } else { 0.0 }
+}
+
+/// What counts as the success of an episode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Success {
+    /// What the environment says.
+    Said,
+    /// A return, as it is reported, from this one on.
+    Return(f64),
+    /// Nothing: neither does the environment say it, nor is there a threshold.
+    Undefined,
+}
+
+impl Success {
+    /// Whether an episode succeeded, of which the environment `said` so or not and which had the return `total_reward`; none
+    /// where success is not defined.
+    pub fn of(self, said: bool, total_reward: f64) -> Option<bool> {
+        match self {
+            Self::Said => Some(said),
+            Self::Return(least) => Some(total_reward >= least),
+            Self::Undefined => None,
+        }
+    }
+}
+
+/// Rounding of a summed return that is forgiven, as a share of `max(1, |threshold|)`. Rewards are `f32`, so a
+/// return that equals the threshold on paper may fall short of it by some 1e-7 of its size; the differences
+/// that matter, a single step's reward, are many times larger than this.
+pub const ROUNDING: f64 = 1e-6;
+
+/// The least return that is no more than `tolerance` below `threshold`, [`ROUNDING`] forgiven.
+pub fn least(threshold: f64, tolerance: f64) -> f64 {
+    threshold - tolerance - ROUNDING * threshold.abs().max(1.0)
 }
 
 impl EnvSpec {

@@ -1,52 +1,115 @@
 //! What every environment must fulfil, written once and run over all of them.
 #![allow(clippy::unwrap_used)]
 
-use super::{EnvError, Environment, Step, build, point_maze, resolve};
+use super::{EnvError, Environment, Step, registry};
 use rand::Rng;
-use trestle_proto::config::{self, EnvKind, PhysicsBackend, PointLayout, PointReset};
+use trestle_proto::config::{self, Environments, Table};
 use trestle_proto::rng::{Purpose, Stream, stream};
 
-/// Every environment in a few configurations, with step limits that make episodes end both ways.
+/// Configurations of the registered environments: their defaults, their presets, and those in `conformance.toml` of an
+/// environment's folder. Step limits make episodes end both ways.
 fn all() -> Vec<config::Env> {
-    let king = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"].map(String::from).to_vec();
-    let maze = |map: &str, actions: &str, step_limit| config::Env {
-        map: map.into(),
-        actions: actions.into(),
-        action_sets: [("king".to_string(), king.clone())].into(),
-        step_limit,
-        ..config::Env::default()
+    let load = |table: &str, sets: &[String]| {
+        let table: Table = table.parse().unwrap();
+        let sets: Vec<String> = sets.iter().cloned().chain(["run.episodes=1".into()]).collect();
+        config::from_table(registry(), table, &sets).unwrap().env
     };
-    let mut all = vec![
-        maze("maze30", "regular", 300),
-        maze("maze30", "irregular", 4000),
-        maze("maze-small", "irregular", 200),
-        maze("random:5:4x4", "irregular", 60),
-        maze("random:5:5x9", "king", 40),
-    ];
-    let point = |map: &str, actions: &str, step_limit, point_maze: config::PointMaze| config::Env {
-        kind: EnvKind::PointMaze,
-        point_maze: config::PointMaze { backend: PhysicsBackend::Builtin, ..point_maze },
-        ..maze(map, actions, step_limit)
+    let of = |name: &str| -> Vec<config::Env> {
+        let more: Table = match std::fs::read_to_string(format!(
+            "{}/src/env/{}/conformance.toml",
+            env!("CARGO_MANIFEST_DIR"),
+            name.replace('-', "_")
+        )) {
+            Ok(text) => text.parse().unwrap(),
+            Err(_) => Table::new(),
+        };
+        let chosen = format!("env.name={name}");
+        let default = load("", &[chosen.clone(), "env.step_limit=300".into()]);
+        let more = more.values().map(|sets| {
+            let sets = sets.as_array().unwrap().iter().map(|set| set.as_str().unwrap().to_string());
+            load("", &std::iter::once(chosen.clone()).chain(sets).collect::<Vec<_>>())
+        });
+        std::iter::once(default).chain(more).collect()
     };
-    let gymnasium = config::PointMaze {
-        layout: PointLayout::Gymnasium,
-        reset: PointReset::Random,
-        frame_skip: 5,
-        ..config::PointMaze::default()
-    };
-    let random = config::PointMaze { reset: PointReset::Random, ..config::PointMaze::default() };
-    all.push(point("medium", "orthogonal", 300, config::PointMaze::default()));
-    all.push(point("umaze", "diagonal", 400, random));
-    all.push(point("large", "king", 200, gymnasium));
-    if point_maze::mujoco::library().is_ok() {
-        let mut by_mujoco = point("umaze", "diagonal", 200, config::PointMaze::default());
-        by_mujoco.point_maze.backend = PhysicsBackend::Mujoco;
-        all.push(by_mujoco);
-    }
-    for env in &mut all {
-        resolve(env, 0).unwrap();
+    let presets =
+        registry().presets().into_iter().map(|preset| load(preset.text, &["env.step_limit=300".into()]));
+    let mut all: Vec<config::Env> = presets.chain(registry().names().into_iter().flat_map(of)).collect();
+    // A configuration may need what this machine has not, such as a library.
+    all.retain_mut(|env| match registry().resolve(env, 0) {
+        Ok(()) => true,
+        Err(error) => {
+            println!("skipped: {} {:?}: {error}", env.name, env.own);
+            false
+        }
+    });
+    for name in registry().names() {
+        assert!(all.iter().any(|env| env.name == name), "{name} has a configuration");
     }
     all
+}
+
+#[test]
+fn settings_survive_their_table_and_are_found_again() {
+    for env in all() {
+        let config = config::Config { env: env.clone(), ..config::Config::default() };
+        let again =
+            config::Config { run: config::Run { episodes: Some(1), ..config::Run::default() }, ..config };
+        let text = config::to_toml(&again);
+        assert_eq!(config::parse_toml("again", &text).unwrap(), again, "{text}");
+        // Resolved once more nothing changes, and what is typed anew takes over what was filled in.
+        let mut resolved = env.clone();
+        registry().resolve(&mut resolved, 0).unwrap();
+        assert_eq!(resolved, env);
+        registry().adopt(&mut resolved, &env).unwrap();
+        assert_eq!(resolved, env);
+        let declared = registry().declared(&env.name);
+        assert!(declared.iter().all(|setting| setting.key.starts_with(&format!("env.{}.", env.name))));
+        assert!(declared.iter().all(|setting| !config::SHARED.contains(&setting.name())), "{}", env.name);
+    }
+}
+
+#[test]
+fn a_mistake_in_an_environment_s_table_is_named() {
+    for name in registry().names() {
+        let given = Table::from_iter([("no-such-setting".to_string(), 1.into())]);
+        let error = registry().complete(name, given).unwrap_err().to_string();
+        assert!(error.starts_with("env.no-such-setting: there is no such setting"), "{error}");
+    }
+    let stranger = config::Env { name: "mase".into(), ..config::Env::default() };
+    let error = registry().build(&stranger).err().unwrap().to_string();
+    assert!(error.starts_with("env.name = mase; accepted: maze, point-maze"), "{error}");
+    assert!(error.ends_with("did you mean `maze`?"), "{error}");
+}
+
+#[test]
+fn pictures_and_plans_agree_with_the_spaces() {
+    for env in all() {
+        let built = registry().build(&env).unwrap();
+        let dim = built.spec().obs_dim();
+        let mut obs = vec![0.0; dim];
+        let mut built = built;
+        built.reset(&mut stream(1, Purpose::Environment, 0), &mut obs);
+        let path: Vec<f32> = obs.clone();
+        if let Some(ground) = registry().ground(&env).unwrap() {
+            let [columns, rows] = ground.size();
+            assert!([1, 2, 4].contains(&ground.squares()) && columns * rows > 0);
+            let inside = |[column, row]: [f64; 2]| {
+                (-0.5..columns as f64 - 0.5).contains(&column) && (-0.5..rows as f64 - 0.5).contains(&row)
+            };
+            assert!(ground.ends().into_iter().chain(ground.places(&path)).all(inside));
+            // States and places belong together.
+            let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| [column, row]));
+            for cell in cells.filter(|&cell| ground.is_free(cell)).take(50) {
+                let place = cell.map(|coordinate| coordinate as f64);
+                let state = ground.state(place);
+                assert_eq!(state.len(), dim);
+                let found = ground.places(&state);
+                assert!((0..2).all(|i| (found[0][i] - place[i]).abs() < 1e-5), "{} {found:?}", env.name);
+            }
+        }
+        let drawn = registry().draw(&env, &[(&path, 'x')]).unwrap();
+        assert!(drawn.is_none_or(|text| text.lines().count() > 1));
+    }
 }
 
 /// One step of a random walk that resets where an episode ends: what a collector sees.
@@ -61,7 +124,7 @@ fn walk(env: &mut dyn Environment, rng: &mut Stream, obs: &mut [f32]) -> (u32, S
 }
 
 fn started(config: &config::Env, seed: u64) -> (Box<dyn Environment>, Stream, Vec<f32>) {
-    let mut env = build(config).unwrap();
+    let mut env = registry().build(config).unwrap();
     let mut rng = stream(seed, Purpose::Environment, 0);
     let mut obs = vec![f32::NAN; env.spec().obs_dim()];
     env.reset(&mut rng, &mut obs);
@@ -85,6 +148,7 @@ fn spaces_are_respected() {
             let (_, step, reached) = walk(env.as_mut(), &mut rng, &mut obs);
             assert!(inside(&reached) && inside(&obs) && step.reward.is_finite());
             assert!(!(step.terminated && step.truncated));
+            assert!(!step.success || spec.defines_success);
             ends += u32::from(step.terminated || step.truncated);
         }
         assert!(ends >= 1, "{}", spec.name);
@@ -131,7 +195,7 @@ fn a_restored_environment_goes_on_as_if_nothing_had_happened() {
 #[test]
 fn steps_without_an_episode_or_an_action_are_refused() {
     for config in all() {
-        let mut env = build(&config).unwrap();
+        let mut env = registry().build(&config).unwrap();
         let n = env.spec().n_actions() as u32;
         let mut obs = vec![0.5; env.spec().obs_dim()];
         assert!(matches!(env.step(0, &mut obs), Err(EnvError::Ended)));

@@ -1,93 +1,25 @@
-//! Where states lie on the map, for pictures of either environment.
+//! Where states lie on a map, for pictures of an environment that has one.
 
-use super::EnvError;
-use super::maze::{self, Cell, Map};
-use super::point_maze::Geometry;
-use trestle_proto::config::{self, EnvKind};
+/// A map of cells, and the way from an environment's states to places on it. A place is [column, row] from the top left,
+/// whole numbers in the middle of a cell.
+pub trait Ground {
+    /// Columns and rows.
+    fn size(&self) -> [usize; 2];
 
-/// The map of an environment and the way from its states to places on it: [column, row], whole numbers in the middle of a
-/// cell.
-#[derive(Clone, Debug)]
-pub enum Ground {
-    /// States are cells.
-    Maze(Map),
-    /// States are a point in metres and its velocity.
-    PointMaze(Geometry),
-}
+    /// Whether the cell [column, row] inside the map is no wall.
+    fn is_free(&self, cell: [usize; 2]) -> bool;
 
-impl Ground {
-    /// That of a resolved configuration (see [`super::resolve`]).
-    ///
-    /// # Errors
-    /// There is no map.
-    pub fn of(env: &config::Env) -> Result<Self, EnvError> {
-        let map = maze::map_of(env)?;
-        Ok(match env.kind {
-            EnvKind::Maze => Self::Maze(map),
-            EnvKind::PointMaze => Self::PointMaze(Geometry::new(map, env.point_maze.layout)),
-        })
-    }
+    /// Places of start and goal.
+    fn ends(&self) -> [[f64; 2]; 2];
 
-    /// The map.
-    pub fn map(&self) -> &Map {
-        match self {
-            Self::Maze(map) => map,
-            Self::PointMaze(geometry) => geometry.map(),
-        }
-    }
+    /// The places of `states`, which stand one after the other as the environment gives them.
+    fn places(&self, states: &[f32]) -> Vec<[f64; 2]>;
 
-    /// The places of `states`, one after the other as the environment gives them.
-    pub fn places(&self, states: &[f32]) -> Vec<[f64; 2]> {
-        let pair = |state: &[f32]| [f64::from(state[0]), f64::from(state[1])];
-        match self {
-            Self::Maze(_) => states.chunks_exact(2).map(pair).collect(),
-            Self::PointMaze(geometry) => {
-                states.chunks_exact(4).map(|state| geometry.grid(pair(state))).collect()
-            }
-        }
-    }
+    /// The state at a place; at rest, where there is motion.
+    fn state(&self, place: [f64; 2]) -> Vec<f32>;
 
-    /// Where the environment puts what is in a cell: start and goal.
-    pub fn place(&self, cell: Cell) -> [f64; 2] {
-        match self {
-            Self::Maze(_) => cell.map(|coordinate| coordinate as f64),
-            Self::PointMaze(geometry) => geometry.grid(geometry.place(cell)),
-        }
-    }
-
-    /// The state at a place, at rest.
-    pub fn state(&self, place: [f64; 2]) -> Vec<f32> {
-        match self {
-            Self::Maze(_) => place.map(|coordinate| coordinate as f32).to_vec(),
-            Self::PointMaze(geometry) => {
-                let [x, y] = geometry.point(place);
-                vec![x as f32, y as f32, 0.0, 0.0]
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use trestle_proto::config::PointLayout;
-
-    #[test]
-    fn states_and_places_belong_together() {
-        let map = Map::parse("m", "S..\n.#.\n..G\n").unwrap();
-        let grounds = [
-            Ground::Maze(map.clone()),
-            Ground::PointMaze(Geometry::new(map.clone(), PointLayout::D4rl)),
-            Ground::PointMaze(Geometry::new(map, PointLayout::Gymnasium)),
-        ];
-        for ground in grounds {
-            for place in [[0.0, 0.0], [2.0, 1.0], [1.0, 2.0]] {
-                let found = ground.places(&ground.state(place));
-                assert!((0..2).all(|i| (found[0][i] - place[i]).abs() < 1e-6), "{ground:?} {found:?}");
-            }
-            let [column, row] = ground.place(ground.map().goal()).map(f64::round);
-            assert_eq!([column, row], [2.0, 2.0], "{ground:?}");
-        }
+    /// Squares along the side of a cell by which a picture tells states apart: 1, 2 or 4. 1 where states are cells.
+    fn squares(&self) -> usize {
+        1
     }
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::env::{build, resolve};
+use crate::env::registry;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -15,9 +15,9 @@ use trestle_proto::rng::{Purpose, stream};
 const LIMIT: Duration = Duration::from_secs(30);
 
 fn bare() -> Box<dyn Environment> {
-    let mut config = config::Env { step_limit: 30, ..config::Env::default() };
-    resolve(&mut config, 0).unwrap();
-    build(&config).unwrap()
+    let mut env = config::load(registry(), "maze-small", &["env.step_limit=30".into()]).unwrap().env;
+    registry().resolve(&mut env, 0).unwrap();
+    registry().build(&env).unwrap()
 }
 
 fn hazards(kind: HazardKind, after: u64, during: HazardScope) -> Hazards {

@@ -1,22 +1,30 @@
-//! The interface of an environment, shaped like Gymnasium's, and what makes one from a configuration.
+//! The interface of an environment, shaped like Gymnasium's, and the registry of those that a configuration can choose.
+//!
+//! An environment is a folder here and a line of [`Registry::builtin`] in this file, which is all that names it; `grid` is what
+//! several of them share. Nothing outside
+//! an environment's folder knows its settings: configurations carry them as data, and only its [`Kind`] reads them.
 //!
 //! What differs from Gymnasium: `reset` takes a random stream instead of a seed, so that the stream can be saved
 //! with the run; observations are written into the caller's buffer; an environment can be saved and restored in
 //! the middle of an episode.
 
 mod error;
+pub mod grid;
 mod ground;
 pub mod hazard;
+mod kind;
 pub mod maze;
 pub mod point_maze;
+mod registry;
 
 #[cfg(test)]
 mod conformance;
 
 pub use error::EnvError;
 pub use ground::Ground;
+pub use kind::{Finding, Kind};
+pub use registry::{Registry, install, registry};
 
-use trestle_proto::config::{self, EnvKind};
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
@@ -30,6 +38,8 @@ pub struct Step {
     /// The episode is over because of a limit; the state reached still has a value. Never together with
     /// `terminated`.
     pub truncated: bool,
+    /// The episode has succeeded with this step. Only where [`EnvSpec::defines_success`]; false otherwise.
+    pub success: bool,
 }
 
 /// An environment with discrete actions and a fixed number of `f32` features.
@@ -63,58 +73,9 @@ pub trait Environment: Send {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError>;
 }
 
-/// Completes `env` so that [`build`] needs nothing but `env` itself: reads or generates the map that `env.map`
-/// names and writes it to `env.layout`, and decides what computes the physics. `seed` is the run's seed, for maps that are random by it.
-///
-/// # Errors
-/// A map that does not exist or cannot be used, or a layout that is given and is another map than the one that
-/// `env.map` names.
-pub fn resolve(env: &mut config::Env, seed: u64) -> Result<(), EnvError> {
-    match env.kind {
-        EnvKind::Maze => maze::resolve(env, seed),
-        EnvKind::PointMaze => {
-            maze::resolve(env, seed)?;
-            point_maze::resolve(env)
-        }
+impl Registry {
+    /// The environments that come with Trestle: a line each.
+    pub fn builtin() -> Self {
+        Self::default().with::<maze::Maze>("maze").with::<point_maze::PointMaze>("point-maze")
     }
-}
-
-/// The environment of a resolved configuration (see [`resolve`]).
-///
-/// # Errors
-/// Whatever the configuration asks for and the environment does not accept.
-pub fn build(env: &config::Env) -> Result<Box<dyn Environment>, EnvError> {
-    match env.kind {
-        EnvKind::Maze => Ok(Box::new(maze::Maze::new(env)?)),
-        EnvKind::PointMaze => Ok(Box::new(point_maze::PointMaze::new(env)?)),
-    }
-}
-
-/// The demonstration `plan`: states of a mentor, optimal in a maze of cells and careful in the Point Maze, that acts with the action set `mentor_actions`, from the
-/// start to the goal, `[obs_dim]` features each. The last state is terminal.
-///
-/// # Errors
-/// An unknown action set, or a goal that it does not reach.
-pub fn plan_states(env: &config::Env, mentor_actions: &str) -> Result<Vec<Vec<f32>>, EnvError> {
-    match env.kind {
-        EnvKind::Maze => maze::plan_states(env, mentor_actions),
-        EnvKind::PointMaze => point_maze::plan_states(env, mentor_actions),
-    }
-}
-
-/// The environment of a resolved configuration as text for a terminal, with paths of states and the mark of each
-/// laid over it; where two meet, the later one is seen.
-///
-/// # Errors
-/// There is no map.
-pub fn draw(env: &config::Env, paths: &[(&[f32], char)]) -> Result<String, EnvError> {
-    let map = maze::map_of(env)?;
-    Ok(match env.kind {
-        EnvKind::Maze => {
-            let cells: Vec<_> = paths.iter().map(|(states, mark)| (maze::cells(states), *mark)).collect();
-            let paths: Vec<_> = cells.iter().map(|(cells, mark)| (cells.as_slice(), *mark)).collect();
-            maze::draw(&map, &paths)
-        }
-        EnvKind::PointMaze => point_maze::draw(&point_maze::Geometry::new(map, env.point_maze.layout), paths),
-    })
 }

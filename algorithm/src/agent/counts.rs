@@ -21,8 +21,8 @@ pub struct Episode {
     pub total_reward: f64,
     /// Steps.
     pub length: u64,
-    /// Whether it ended in a terminal state rather than at the step limit.
-    pub success: bool,
+    /// Whether it succeeded; none where success is not defined.
+    pub success: Option<bool>,
 }
 
 /// One mentor transition.

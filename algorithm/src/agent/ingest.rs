@@ -15,7 +15,7 @@ pub struct FinishedEpisode {
     /// The run's counters with its last step and the episode itself counted. Gradient steps that this tick still
     /// owes are not in them.
     pub counters: Counters,
-    /// Its return, length and whether it ended in a terminal state.
+    /// Its return, length and success.
     pub episode: Episode,
 }
 
@@ -63,8 +63,8 @@ impl Agent {
             self.counters.env_steps += 1;
             ingested.consumed += 1;
             let running = &mut self.running[batch.header.actor as usize];
-            let terminated = transition.terminated();
-            running.total_reward += reported(transition.reward, terminated, self.settings.goal_bonus);
+            let said = transition.succeeded();
+            running.total_reward += reported(transition.reward, said, self.settings.goal_bonus);
             running.length += 1;
             if transition.ends_episode() {
                 let Running { total_reward, length } = std::mem::take(running);
@@ -72,7 +72,11 @@ impl Agent {
                 ingested.finished.push(FinishedEpisode {
                     actor: batch.header.actor,
                     counters: self.counters,
-                    episode: Episode { total_reward, length, success: transition.terminated() },
+                    episode: Episode {
+                        total_reward,
+                        length,
+                        success: self.settings.success.of(said, total_reward),
+                    },
                 });
             }
         }

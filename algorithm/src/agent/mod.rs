@@ -39,6 +39,7 @@ use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionK
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_proto::space::Success;
 use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
 
 /// The guide's entry of a mentor transition of which no action is known.
@@ -82,6 +83,8 @@ struct Settings {
     n_actions: usize,
     /// See [`trestle_proto::space::EnvSpec::goal_bonus`].
     goal_bonus: f32,
+    /// What counts as an episode's success.
+    success: Success,
     /// The run ends with this many finished episodes or environment steps.
     episodes: Option<u64>,
     env_steps: Option<u64>,
@@ -289,6 +292,7 @@ impl Settings {
             tau: learner.tau as f32,
             n_actions: plan.spec.n_actions(),
             goal_bonus: plan.spec.goal_bonus,
+            success: plan.success(),
             episodes: run.episodes,
             env_steps: run.env_steps,
             rule: MentorRule::new(run.algo, mentor),

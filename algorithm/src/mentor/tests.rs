@@ -22,6 +22,7 @@ fn spec() -> EnvSpec {
         actions: ["E", "N", "W", "S"].map(String::from).to_vec(),
         best_return: None,
         goal_bonus: 0.0,
+        defines_success: true,
     }
 }
 

@@ -31,7 +31,7 @@ use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut};
 use std::io::{self, Read};
 use std::ops::Range;
 use trestle_proto::NONE;
-use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED};
+use trestle_proto::batch::KNOWN_FLAGS;
 
 // The arrays go to the file as they lie in memory.
 const _: () = assert!(cfg!(target_endian = "little"), "files are little-endian, and so must be the machine");
@@ -39,7 +39,6 @@ const _: () = assert!(cfg!(target_endian = "little"), "files are little-endian, 
 const HEAD: [u8; 8] = *b"TRREPLAY";
 const SEGMENT: [u8; 8] = *b"TRSEGMNT";
 const VERSION: u64 = 2;
-const KNOWN_FLAGS: u8 = (TERMINATED | TRUNCATED | FIRST) as u8;
 /// Segments that a full replay has, about: few enough for a directory, and small enough for the unfinished one, which
 /// every checkpoint writes anew.
 const SEGMENTS: u64 = 64;
@@ -322,7 +321,7 @@ impl Replay {
             if let Some(j) = entry.mentor.filter(|&j| j >= bounds.mentor_len) {
                 return refuse(slot, "mentor index", j as f64, format!("below {}", bounds.mentor_len));
             }
-            if self.flags[slot] & !KNOWN_FLAGS != 0 {
+            if u32::from(self.flags[slot]) & !KNOWN_FLAGS != 0 {
                 return refuse(slot, "flags", self.flags[slot].into(), format!("any of {KNOWN_FLAGS:#x}"));
             }
             if entry.actor >= bounds.actors {

@@ -6,7 +6,7 @@ use super::*;
 use proptest::prelude::*;
 use rand::SeedableRng;
 use std::collections::{BTreeMap, VecDeque};
-use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED};
+use trestle_proto::batch::{FIRST, SUCCEEDED, TERMINATED, TRUNCATED};
 use trestle_proto::rng::Stream;
 
 const DIM: usize = 2;
@@ -53,7 +53,14 @@ impl Plain {
 
 fn plain() -> impl Strategy<Value = Plain> {
     let number = -4i8..4;
-    let flags = prop::sample::select(vec![0, FIRST, TERMINATED, TRUNCATED, FIRST | TRUNCATED]);
+    let flags = prop::sample::select(vec![
+        0,
+        FIRST,
+        TERMINATED,
+        TERMINATED | SUCCEEDED,
+        TRUNCATED,
+        FIRST | TRUNCATED,
+    ]);
     (prop::array::uniform5(number), 0u32..4, flags, 0u32..3, prop::option::of(0u32..9)).prop_map(
         |(x, action, flags, actor, mentor)| {
             let x = x.map(f32::from);

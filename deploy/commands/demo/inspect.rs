@@ -5,12 +5,12 @@ use super::{free, meet};
 use crate::cli::Inspect;
 use anyhow::{Context, Result};
 use std::fs;
-use trestle_actor::env::draw;
+use trestle_actor::env::{Ground, registry};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::summarise;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, CovarianceKind, Demos, EnvKind, Mentor};
+use trestle_proto::config::{self, CovarianceKind, Demos, Mentor};
 use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Inspect) -> Result<()> {
@@ -25,7 +25,7 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
     };
     match args.config.as_ref().or(own.as_ref()) {
         Some(name) => {
-            let mut config = config::load(name, &args.sets)?;
+            let mut config = config::load(registry(), name, &args.sets)?;
             config.mentor.demo = Demos::one(file.display().to_string());
             let resolved = meet(config)?;
             let mentors = resolved.mentors.as_ref().context("the configuration has no mentor")?;
@@ -37,9 +37,10 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
                 outln!("warning: {warning}");
             }
             let env = &resolved.config.env;
-            let drawn = draw(env, &[(mentors.all.states(), 'm')])?;
-            // The second feature of a maze is a row.
-            picture(args, &mentors.all, env.kind == EnvKind::Maze, Some(drawn))
+            let drawn = registry().draw(env, &[(mentors.all.states(), 'm')])?;
+            let ground = registry().ground(env)?;
+            let down = ground.is_some_and(|ground| grows_down(ground.as_ref(), mentors.all.dim()));
+            picture(args, &mentors.all, down, drawn)
         }
         None => {
             let demonstration = demo_file::read(&file)?;
@@ -57,6 +58,15 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             picture(args, &demonstration, false, None)
         }
     }
+}
+
+/// Whether the second of `dim` features is a row of the map, which are counted from the top.
+fn grows_down(ground: &dyn Ground, dim: usize) -> bool {
+    let row = |second: f32| {
+        let state: Vec<f32> = (0..dim).map(|feature| if feature == 1 { second } else { 0.0 }).collect();
+        ground.places(&state).first().map(|place| place[1])
+    };
+    row(0.0) < row(1.0)
 }
 
 /// Draws on the terminal, on the map `drawn` where there is one and no axes are asked for, and into a file; `down` if

@@ -2,6 +2,7 @@
 
 use super::{free, report};
 use crate::cli::Record;
+use crate::stored::read_plan;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::worker::Worker;
 use trestle_algorithm::demonstration::Demonstration;
@@ -9,6 +10,7 @@ use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_mentor_server::demo_file;
 use trestle_proto::rundir::RunDir;
+use trestle_proto::space::Success;
 use trestle_proto::tick::{EVALUATE, Tick};
 
 /// The evaluation whose stream of resets the first episode draws from; the others count down from it. Those of training
@@ -19,12 +21,18 @@ pub(super) fn run(args: &Record) -> Result<()> {
     logging::init(0, "record", "warn");
     free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
-    let plan = dir.read_plan()?;
+    let plan = read_plan(&dir)?;
     let (tick, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let weights = checkpoint::load_model(&path, &layout)?;
     let mut worker = Worker::new(&plan, 0)?;
+    ensure!(
+        args.all || plan.success() != Success::Undefined,
+        "{}: nothing says which episodes of {} succeed; accepted: --all, or a run with eval.threshold",
+        args.run.display(),
+        plan.spec.name
+    );
 
     let mut demonstration = Demonstration::new((0..plan.spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
     let (mut reached, mut repeated, mut total, mut steps) = (0_u32, 0_u32, 0.0, 0);
@@ -35,8 +43,9 @@ pub(super) fn run(args: &Record) -> Result<()> {
         let played = played.episodes.first().context("an evaluation without an episode")?;
         total += played.total_reward;
         steps += played.length;
-        reached += u32::from(played.success);
-        if !(played.success || args.all) {
+        let succeeded = played.success == Some(true);
+        reached += u32::from(succeeded);
+        if !(succeeded || args.all) {
             continue;
         }
         ensure!(
@@ -44,22 +53,21 @@ pub(super) fn run(args: &Record) -> Result<()> {
             "episode {episode} has {} steps, too many to record; accepted: fewer, as env.step_limit makes them",
             played.length
         );
-        if holds(&demonstration, &played.path, played.success) {
+        if holds(&demonstration, &played.path, played.terminated) {
             repeated += 1;
         } else {
-            demonstration.push_trajectory(&played.path, played.success)?;
+            demonstration.push_trajectory(&played.path, played.terminated)?;
         }
     }
     let n = f64::from(args.episodes);
-    let figures = format!(
-        "{reached} of {} greedy episodes reach the goal, mean return {:.3}, mean steps {:.1}",
-        args.episodes,
-        total / n,
-        steps as f64 / n
-    );
+    let share = match plan.success() {
+        Success::Undefined => format!("{} greedy episodes", args.episodes),
+        _ => format!("{reached} of {} greedy episodes succeed", args.episodes),
+    };
+    let figures = format!("{share}, mean return {:.3}, mean steps {:.1}", total / n, steps as f64 / n);
     ensure!(
         demonstration.n_trajectories() > 0,
-        "{}: {figures}, with checkpoint {}; accepted: a run that reaches it, or --all to record what it does instead",
+        "{}: {figures}, with checkpoint {}; accepted: a run that succeeds, or --all to record what it does instead",
         args.run.display(),
         path.display()
     );

@@ -14,7 +14,8 @@ pub const WINDOW: usize = 100;
 pub(super) struct Means {
     pub(super) total_reward: f64,
     pub(super) length: f64,
-    pub(super) success: f64,
+    /// Share of the episodes that succeeded; none where success is not defined.
+    pub(super) success: Option<f64>,
 }
 
 /// Means over `episodes`, none if there are none. Summed in order, so that the same episodes give the same
@@ -24,14 +25,15 @@ pub(super) fn means<'a>(episodes: impl ExactSizeIterator<Item = &'a Episode>) ->
     if n == 0 {
         return None;
     }
-    let (mut total_reward, mut length, mut success) = (0.0, 0, 0);
+    let (mut total_reward, mut length, mut success) = (0.0, 0, Some(0_u64));
     for episode in episodes {
         total_reward += episode.total_reward;
         length += episode.length;
-        success += u64::from(episode.success);
+        success = success.zip(episode.success).map(|(count, success)| count + u64::from(success));
     }
     let n = n as f64;
-    Some(Means { total_reward: total_reward / n, length: length as f64 / n, success: success as f64 / n })
+    let success = success.map(|count| count as f64 / n);
+    Some(Means { total_reward: total_reward / n, length: length as f64 / n, success })
 }
 
 /// The newest [`WINDOW`] training episodes. Part of a checkpoint.
@@ -161,7 +163,7 @@ impl Row {
         if let Some(means) = window.means() {
             self.real("rollout/ep_rew_mean", means.total_reward);
             self.real("rollout/ep_len_mean", means.length);
-            self.real("rollout/success_rate", means.success);
+            self.real("rollout/success_rate", means.success.unwrap_or(f64::NAN));
         }
     }
 
@@ -183,7 +185,9 @@ pub(super) fn episode_row(now: &Counters, wall_s: f64, episode: &Episode, window
     row.real("time/time_elapsed", wall_s);
     row.real("rollout/ep_rew", episode.total_reward);
     row.count("rollout/ep_len", episode.length);
-    row.count("rollout/ep_success", u64::from(episode.success));
+    if let Some(success) = episode.success {
+        row.count("rollout/ep_success", u64::from(success));
+    }
     row.means(window);
     row
 }
@@ -223,12 +227,10 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
 }
 
 /// TensorBoard's points of a greedy evaluation, with Stable-Baselines3's names.
-pub(super) fn evaluation_scalars(means: &Means) -> [(&'static str, f32); 3] {
-    [
-        ("eval/mean_reward", means.total_reward as f32),
-        ("eval/mean_ep_length", means.length as f32),
-        ("eval/success_rate", means.success as f32),
-    ]
+pub(super) fn evaluation_scalars(means: &Means) -> Vec<(&'static str, f32)> {
+    let always = [("eval/mean_reward", means.total_reward), ("eval/mean_ep_length", means.length)];
+    let success = means.success.map(|share| ("eval/success_rate", share));
+    always.into_iter().chain(success).map(|(key, value)| (key, value as f32)).collect()
 }
 
 #[cfg(test)]
@@ -256,7 +258,7 @@ mod tests {
         fn window_is_the_newest(returns in proptest::collection::vec(-100i32..100, 0..260)) {
             let episodes: Vec<Episode> = returns
                 .iter()
-                .map(|r| Episode { total_reward: f64::from(*r), length: r.unsigned_abs().into(), success: *r > 0 })
+                .map(|r| Episode { total_reward: f64::from(*r), length: r.unsigned_abs().into(), success: Some(*r > 0) })
                 .collect();
             let mut window = Window::default();
             episodes.iter().for_each(|episode| window.push(*episode));
@@ -267,7 +269,7 @@ mod tests {
                     let n = tail.len() as f64;
                     prop_assert_eq!(means.total_reward, tail.iter().map(|e| e.total_reward).sum::<f64>() / n);
                     prop_assert_eq!(means.length, tail.iter().map(|e| e.length as f64).sum::<f64>() / n);
-                    prop_assert_eq!(means.success, tail.iter().filter(|e| e.success).count() as f64 / n);
+                    prop_assert_eq!(means.success, Some(tail.iter().filter(|e| e.success == Some(true)).count() as f64 / n));
                 }
             }
         }

@@ -35,7 +35,7 @@ pub use mentor::write_mentor;
 pub use metrics::{Gauges, MentorGauges, WINDOW};
 pub use progress::{Limits, Progress, seconds_left};
 pub use result::{RunResult, write_result};
-pub use solved::{CONSECUTIVE, Goal, Moment, ROUNDING, Standing, reaches};
+pub use solved::{CONSECUTIVE, Goal, Moment, Standing};
 
 use crate::checkpoint::Unsynced;
 use lines::Lines;
@@ -199,7 +199,9 @@ impl Recorder {
         let Counters { episodes: episode, env_steps, grad_steps } = *counters;
         let means = means(episodes.iter()).ok_or(RecordError::NoEpisodes { env_steps })?;
         let wall_s = self.wall_s();
-        let (total_reward, length, success) = (means.total_reward, means.length, means.success);
+        let (total_reward, length) = (means.total_reward, means.length);
+        // Where success is not defined, the column is empty.
+        let success = means.success.map_or_else(String::new, |share| share.to_string());
         self.evals.push(&format!(
             "{episode},{env_steps},{grad_steps},{wall_s:.3},{total_reward},{length},{success}"
         ))?;

@@ -4,14 +4,10 @@
 //! threshold; *optimal* is the same with tolerance 0. Our choice: the paper reads both off its plots.
 
 use serde::{Deserialize, Serialize};
+use trestle_proto::space::least;
 
 /// Evaluations in a row that must pass.
 pub const CONSECUTIVE: u32 = 3;
-/// Rounding of a summed return that is forgiven, as a share of `max(1, |threshold|)`. Rewards are `f32`, so a
-/// return that equals the threshold on paper may fall short of it by some 1e-7 of its size; the differences
-/// that matter, a single step's reward, are many times larger than this.
-pub const ROUNDING: f64 = 1e-6;
-
 /// Return to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
@@ -50,8 +46,8 @@ impl Standing {
     /// Takes in one evaluation's mean return; without a goal nothing ever counts as solved.
     pub fn observe(&mut self, goal: Option<Goal>, at: Moment, mean_return: f64) {
         if let Some(goal) = goal {
-            advance(&mut self.solved, reaches(mean_return, goal.threshold, goal.tolerance), at);
-            advance(&mut self.optimal, reaches(mean_return, goal.threshold, 0.0), at);
+            advance(&mut self.solved, mean_return >= least(goal.threshold, goal.tolerance), at);
+            advance(&mut self.optimal, mean_return >= least(goal.threshold, 0.0), at);
         }
         let best = self.best_return.map_or(mean_return, |best| best.max(mean_return));
         self.best_return = Some(best);
@@ -77,11 +73,6 @@ impl Standing {
     pub fn final_return(&self) -> Option<f64> {
         self.final_return
     }
-}
-
-/// Whether a return is no more than `tolerance` below `threshold`, [`ROUNDING`] forgiven.
-pub fn reaches(mean_return: f64, threshold: f64, tolerance: f64) -> bool {
-    mean_return >= threshold - tolerance - ROUNDING * threshold.abs().max(1.0)
 }
 
 /// Takes one more evaluation into a streak; a streak of full length stays as it is.
@@ -110,6 +101,10 @@ mod tests {
 
     const KIND: Kind = Kind { magic: *b"TRTEST\0\0", version: 1 };
     const GOAL: Goal = Goal { threshold: -3.4, tolerance: 0.5 };
+
+    fn reaches(value: f64, threshold: f64, tolerance: f64) -> bool {
+        value >= least(threshold, tolerance)
+    }
 
     fn moment(i: usize) -> Moment {
         Moment { episode: 5 * i as u64, env_steps: 100 * i as u64 + 1 }

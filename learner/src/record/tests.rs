@@ -25,7 +25,7 @@ fn at(tick: u64) -> Counters {
 }
 
 fn episode(tick: u64) -> Episode {
-    Episode { total_reward: -(tick as f64) / 7.0, length: tick, success: tick.is_multiple_of(2) }
+    Episode { total_reward: -(tick as f64) / 7.0, length: tick, success: Some(tick.is_multiple_of(2)) }
 }
 
 /// An episode a tick, an evaluation of two episodes every third, an interval row every fourth.
@@ -74,7 +74,7 @@ fn files_hold_what_was_recorded() {
     let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
     recorder.begin().unwrap();
     play(&mut recorder, 1..=4);
-    let one = [Episode { total_reward: -3.4, length: 35, success: true }];
+    let one = [Episode { total_reward: -3.4, length: 35, success: Some(true) }];
     recorder.evaluation(&at(5), &one).unwrap();
     let result = recorder.finish(&at(5), &Gauges::default(), outcome()).unwrap();
 

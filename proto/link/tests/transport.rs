@@ -28,8 +28,9 @@ const ACTORS: u32 = 2;
 const MENTOR: usize = 3;
 
 fn plan(run: u64) -> RunPlan {
-    let overrides = ["run.actors=2", "run.rollout=4", "learner.hidden=[8]"].map(String::from);
-    let config: Config = config::load("maze-small", &overrides).unwrap();
+    let overrides =
+        ["run.episodes=9", "run.actors=2", "run.rollout=4", "learner.hidden=[8]"].map(String::from);
+    let config: Config = config::from_table(&(), config::Table::new(), &overrides).unwrap();
     let spec = EnvSpec {
         name: "test".into(),
         low: vec![0.0; 2],
@@ -39,6 +40,7 @@ fn plan(run: u64) -> RunPlan {
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
         goal_bonus: 0.0,
+        defines_success: true,
     };
     let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
     RunPlan { run, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0, generation: 0 }

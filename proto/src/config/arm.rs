@@ -44,10 +44,10 @@ impl Config {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::config::load;
+    use crate::config::testing::with;
 
     fn arm(sets: &[&str]) -> String {
-        load("maze30", &sets.iter().map(ToString::to_string).collect::<Vec<_>>()).unwrap().arm()
+        with("maze30", sets).unwrap().arm()
     }
 
     #[test]

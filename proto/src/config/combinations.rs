@@ -1,11 +1,12 @@
 //! Rules over several settings, which no setting's own declaration can state.
 
 use super::accepts::{at_least, between};
-use super::{Config, ConfigError, DrawKind, EnvKind, Field, HazardKind, Mode, SelectionKind, refuse};
+use super::{Config, ConfigError, DrawKind, Field, HazardKind, Mode, SelectionKind, refuse};
 use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
 
 impl Config {
-    /// Checks every setting, and every combination of settings.
+    /// Checks every setting, and every combination of settings, but for the environment's own, which only the environment
+    /// knows.
     ///
     /// # Errors
     /// The first setting that is not accepted, with what is.
@@ -13,7 +14,6 @@ impl Config {
         self.check("")?;
         self.check_limits()?;
         self.check_streaming()?;
-        self.check_threshold()?;
         self.check_hazard()?;
         self.check_learner()?;
         self.check_mentor()
@@ -40,28 +40,6 @@ impl Config {
         let most = least * TRANSITIONS_BUFFER as u64;
         let accepted = format!("{least} (run.actors * run.rollout) to {most}, or 0 for twice {least}");
         require(run.ahead == 0 || (least..=most).contains(&run.ahead), "run.ahead", run.ahead, &accepted)
-    }
-
-    /// No episode that is cut off may count as solved.
-    fn check_threshold(&self) -> Result<(), ConfigError> {
-        let (env, eval) = (&self.env, &self.eval);
-        match eval.threshold {
-            // Every step costs 0.001, and an episode that is cut off has cost step_limit of them.
-            Some(threshold)
-                if env.kind == EnvKind::PointMaze
-                    && threshold - eval.tolerance <= -0.001 * f64::from(env.step_limit) =>
-            {
-                let accepted = format!(
-                    "with eval.tolerance = {} and env.step_limit = {}, above {:.3}: else an episode that never reaches \
-                     the goal would count as solved",
-                    eval.tolerance,
-                    env.step_limit,
-                    eval.tolerance - 0.001 * f64::from(env.step_limit)
-                );
-                Err(refuse("eval.threshold", threshold, &accepted))
-            }
-            _ => Ok(()),
-        }
     }
 
     /// A process that fails on purpose is started again, and its failure is noticed.

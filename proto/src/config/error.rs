@@ -1,6 +1,5 @@
 //! Configurations that cannot be used, in words.
 
-use super::preset_names;
 use crate::names;
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -73,10 +72,9 @@ pub fn refuse(key: &str, value: impl Display, accepted: &str) -> ConfigError {
     ConfigError::Value { key: key.into(), value, accepted: accepted.into() }
 }
 
-/// Refuses `name`, which is neither a preset nor a file.
-pub(super) fn unknown_source(name: &str) -> ConfigError {
-    let presets = preset_names();
-    let hint = names::hint(name, presets.iter().map(String::as_str));
+/// Refuses `name`, which is neither one of `presets` nor a file.
+pub(super) fn unknown_source(name: &str, presets: &[&str]) -> ConfigError {
+    let hint = names::hint(name, presets.iter().copied());
     ConfigError::Unknown { name: name.into(), presets: presets.join(", "), hint }
 }
 

@@ -52,12 +52,8 @@ choices! {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::config::{Config, load, parse_toml, to_toml};
-
-    fn with(sets: &[&str]) -> Result<Config, String> {
-        let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
-        load("maze-small", &sets).map_err(|error| error.to_string())
-    }
+    use crate::config::testing::with;
+    use crate::config::{parse_toml, to_toml};
 
     #[test]
     fn every_kind_survives_toml_under_its_name() {
@@ -73,7 +69,7 @@ mod tests {
                     "env.hazard.after=700".into(),
                     format!("env.hazard.during={during}"),
                 ];
-                let config = load("maze-small", &sets).unwrap();
+                let config = with("maze30", &sets.each_ref().map(String::as_str)).unwrap();
                 assert_eq!(config.env.hazard, Hazard { kind, after: 700, during: scope });
                 assert_eq!(parse_toml("again", &to_toml(&config)).unwrap(), config);
             }
@@ -82,12 +78,12 @@ mod tests {
 
     #[test]
     fn what_makes_no_sense_is_refused() {
-        let refused = |sets: &[&str]| with(sets).unwrap_err();
+        let refused = |sets: &[&str]| with("maze30", sets).unwrap_err().to_string();
         assert_eq!(
             refused(&["env.hazard.kind=abort"]),
             "env.hazard.after = 0; accepted: 1 or more with env.hazard.kind = abort"
         );
-        assert!(with(&["env.hazard.after=0"]).is_ok());
+        assert!(with("maze30", &["env.hazard.after=0"]).is_ok());
         let reference = ["env.hazard.kind=error", "env.hazard.after=5", "run.mode=reference"];
         assert!(
             refused(&reference)

@@ -1,7 +1,8 @@
 //! From a preset or a file and overrides to a checked [`Config`].
 
+use super::environments::{chosen, complete, expand};
 use super::error::{unknown_key, unknown_source};
-use super::{Config, ConfigError, Field};
+use super::{Config, ConfigError, Environments, Field, before, refuse};
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
 use std::fs;
@@ -24,27 +25,17 @@ impl Preset {
     }
 }
 
-/// The presets that are compiled in.
-pub const PRESETS: [Preset; 5] = [
-    Preset { name: "maze-small", text: include_str!("../../presets/maze-small.toml") },
-    Preset { name: "maze30", text: include_str!("../../presets/maze30.toml") },
-    Preset { name: "maze30-tuned", text: include_str!("../../presets/maze30-tuned.toml") },
-    Preset { name: "point-umaze", text: include_str!("../../presets/point-umaze.toml") },
-    Preset { name: "point-maze", text: include_str!("../../presets/point-maze.toml") },
-];
-
-/// Names of all presets.
-pub(super) fn preset_names() -> Vec<String> {
-    PRESETS.iter().map(|preset| preset.name.into()).collect()
-}
-
-/// The configuration called `name` (a preset, or a TOML file) with `overrides` (`key=value`, dotted keys, the later
-/// one wins). Everything is checked but what needs the environment (maps, demonstrations).
+/// The configuration called `name` (a preset, or a TOML file) with `overrides` (`key=value`, dotted keys, the later one wins).
+/// Everything is checked but what the configuration names: maps and demonstrations.
 ///
 /// # Errors
 /// What cannot be read, is not a setting, or is not accepted.
-pub fn load(name: &str, overrides: &[String]) -> Result<Config, ConfigError> {
-    load_with(name, overrides, |_| {})
+pub fn load(
+    environments: &dyn Environments,
+    name: &str,
+    overrides: &[String],
+) -> Result<Config, ConfigError> {
+    load_with(environments, name, overrides, |_| {})
 }
 
 /// The same with `flags`: what the command line says beyond the overrides, which wins over them.
@@ -52,28 +43,29 @@ pub fn load(name: &str, overrides: &[String]) -> Result<Config, ConfigError> {
 /// # Errors
 /// As [`load`].
 pub fn load_with(
+    environments: &dyn Environments,
     name: &str,
     overrides: &[String],
     flags: impl FnOnce(&mut Config),
 ) -> Result<Config, ConfigError> {
-    let mut table = read(name)?;
-    // Presets, too, may have one; none refers to itself.
-    while let Some(base) = table.remove("base") {
-        let base = base.as_str().map_or_else(|| base.to_string(), String::from);
-        let mut merged = preset(&base).ok_or_else(|| unknown_base(&base))??;
-        merge(&mut merged, table);
-        table = merged;
-    }
-    for text in overrides {
-        set(&mut table, text)?;
-    }
-    let mut config = decode(table)?;
-    flags(&mut config);
-    config.validate()?;
-    Ok(config)
+    let presets = Presets::of(environments);
+    from_layers(environments, presets.with_bases(presets.read(name)?)?, overrides, flags)
 }
 
-/// The configuration written in `text`, which must be complete in itself; `origin` names it in messages.
+/// The configuration in `table` with `overrides`, as [`load`] has it from a file.
+///
+/// # Errors
+/// As [`load`].
+pub fn from_table(
+    environments: &dyn Environments,
+    table: Table,
+    overrides: &[String],
+) -> Result<Config, ConfigError> {
+    from_layers(environments, Presets::of(environments).with_bases(table)?, overrides, |_| {})
+}
+
+/// The configuration that a run keeps as `text`: complete in itself, its environment's own table taken as it is. `origin` names
+/// it in messages.
 ///
 /// # Errors
 /// As [`load`].
@@ -89,78 +81,141 @@ pub fn to_toml(config: &Config) -> String {
     toml::to_string_pretty(config).unwrap_or_else(|e| format!("# not representable: {e}\n"))
 }
 
-fn unknown_base(name: &str) -> ConfigError {
-    let presets = preset_names();
-    let hint = names::hint(name, presets.iter().map(String::as_str));
-    super::refuse("base", name, &format!("a preset: {}{hint}", presets.join(", ")))
-}
-
 /// Refuses the key `name` in `table`, whose settings are `known`.
 pub(super) fn unknown(table: &str, name: &str, known: &[&str]) -> ConfigError {
     let all: Vec<String> = Config::declared("").into_iter().map(|setting| setting.key).collect();
     unknown_key(table, name, known, &all)
 }
 
-fn preset(name: &str) -> Option<Result<Table, ConfigError>> {
-    let preset = PRESETS.iter().find(|preset| preset.name == name)?;
-    Some(parse(&format!("preset {name}"), preset.text))
+/// Lays `layers` and `overrides` upon each other, the later ones on top.
+fn from_layers(
+    environments: &dyn Environments,
+    layers: Vec<Table>,
+    overrides: &[String],
+    flags: impl FnOnce(&mut Config),
+) -> Result<Config, ConfigError> {
+    let mut layers: Vec<Layer> = layers.into_iter().map(Layer::whole).collect();
+    for text in overrides {
+        layers.push(Layer::of_override(text)?);
+    }
+    // What an environment's setting is short for depends on which environment it is in the end.
+    let name = chosen(layers.iter().map(|layer| &layer.table), environments)?;
+    let mut table = Table::new();
+    for mut layer in layers {
+        if expand(&mut layer.table, &name, environments)? {
+            layer.depth = layer.depth.saturating_add(1);
+        }
+        merge(&mut table, layer.table, layer.depth);
+    }
+    complete(&mut table, &name, environments)?;
+    let mut config = decode(table)?;
+    flags(&mut config);
+    config.validate()?;
+    environments.check(&config)?;
+    Ok(config)
 }
 
-fn read(name: &str) -> Result<Table, ConfigError> {
-    if let Some(table) = preset(name) {
-        return table;
+/// The presets that a configuration may name.
+struct Presets(Vec<Preset>);
+
+impl Presets {
+    fn of(environments: &dyn Environments) -> Self {
+        Self(environments.presets())
     }
-    let path = Path::new(name);
-    let fault = |message: String| ConfigError::Read { path: path.into(), message };
-    let meta = fs::metadata(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => unknown_source(name),
-        _ => fault(e.to_string()),
-    })?;
-    if !meta.is_file() {
-        return Err(fault("not a file; accepted: a preset or a TOML file".into()));
+
+    fn names(&self) -> Vec<&str> {
+        self.0.iter().map(|preset| preset.name).collect()
     }
-    if meta.len() > MAX_TEXT_BYTES {
-        return Err(fault(format!("{} bytes; accepted: up to {MAX_TEXT_BYTES}", meta.len())));
+
+    /// The preset called `name`, if there is one.
+    fn find(&self, name: &str) -> Option<Result<Table, ConfigError>> {
+        let preset = self.0.iter().find(|preset| preset.name == name)?;
+        Some(parse(&format!("preset {name}"), preset.text))
     }
-    let text = fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
-    parse(&path.display().to_string(), &text)
+
+    /// The preset or the file called `name`.
+    fn read(&self, name: &str) -> Result<Table, ConfigError> {
+        if let Some(table) = self.find(name) {
+            return table;
+        }
+        let path = Path::new(name);
+        let fault = |message: String| ConfigError::Read { path: path.into(), message };
+        let meta = fs::metadata(path).map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => unknown_source(name, &self.names()),
+            _ => fault(e.to_string()),
+        })?;
+        if !meta.is_file() {
+            return Err(fault("not a file; accepted: a preset or a TOML file".into()));
+        }
+        if meta.len() > MAX_TEXT_BYTES {
+            return Err(fault(format!("{} bytes; accepted: up to {MAX_TEXT_BYTES}", meta.len())));
+        }
+        let text = fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
+        parse(&path.display().to_string(), &text)
+    }
+
+    /// `table` upon its base, the base's base, and so on. No preset is its own base.
+    fn with_bases(&self, table: Table) -> Result<Vec<Table>, ConfigError> {
+        let mut layers = vec![table];
+        while let Some(base) = layers[0].remove("base") {
+            let name = super::setting::in_words(&base);
+            let accepted =
+                || format!("a preset: {}{}", self.names().join(", "), names::hint(&name, self.names()));
+            layers.insert(0, self.find(&name).ok_or_else(|| refuse("base", &name, &accepted()))??);
+        }
+        Ok(layers)
+    }
 }
 
+/// `text` as a table of today's form.
 fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
-    text.parse::<Table>()
-        .map_err(|e| ConfigError::Syntax { origin: origin.into(), message: e.to_string().trim().into() })
+    let mut table = text
+        .parse::<Table>()
+        .map_err(|e| ConfigError::Syntax { origin: origin.into(), message: e.to_string().trim().into() })?;
+    before::translate(&mut table);
+    Ok(table)
 }
 
 fn decode(table: Table) -> Result<Config, ConfigError> {
     Config::read(Value::Table(table), "", "")
 }
 
-/// Lays `over` upon `table`, table by table.
-fn merge(table: &mut Table, over: Table) {
-    for (key, value) in over {
-        match (table.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => merge(below, above),
-            (_, value) => _ = table.insert(key, value),
+/// A part of a configuration.
+struct Layer {
+    table: Table,
+    /// Tables at this depth take the place of those below instead of being laid upon them.
+    depth: usize,
+}
+
+impl Layer {
+    /// A preset or a file.
+    fn whole(table: Table) -> Self {
+        Self { table, depth: usize::MAX }
+    }
+
+    /// One `key=value`, whose value takes the place of whatever there is.
+    fn of_override(text: &str) -> Result<Self, ConfigError> {
+        let malformed = || ConfigError::Override { text: text.into() };
+        let (key, value) = text.split_once('=').ok_or_else(malformed)?;
+        let mut parts = key.trim().split('.').rev();
+        let last = parts.next().unwrap_or_default();
+        let within = |table: Table, part: &str| Table::from_iter([(part.to_string(), Value::Table(table))]);
+        let table = parts.fold(Table::from_iter([(last.to_string(), scalar(value.trim()))]), within);
+        if key.trim().split('.').any(str::is_empty) {
+            return Err(malformed());
         }
+        Ok(Self { table, depth: key.matches('.').count() })
     }
 }
 
-/// Carries out one `key=value`.
-fn set(table: &mut Table, text: &str) -> Result<(), ConfigError> {
-    let malformed = || ConfigError::Override { text: text.into() };
-    let (key, value) = text.split_once('=').ok_or_else(malformed)?;
-    let mut parts: Vec<&str> = key.trim().split('.').collect();
-    let last = parts.pop().filter(|p| !p.is_empty()).ok_or_else(malformed)?;
-    let mut at = table;
-    for part in parts {
-        let inner = at.entry(part).or_insert_with(|| Value::Table(Table::new()));
-        let shown = super::setting::in_words(inner);
-        at = inner.as_table_mut().ok_or_else(|| {
-            super::refuse(key.trim(), value.trim(), &format!("no key below `{part}`, whose value is {shown}"))
-        })?;
+/// Lays `over` upon `table`, table by table, `depth` tables deep.
+pub(super) fn merge(table: &mut Table, over: Table, depth: usize) {
+    for (key, value) in over {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) if depth > 0 => merge(below, above, depth - 1),
+            (_, value) => _ = table.insert(key, value),
+        }
     }
-    at.insert(last.into(), scalar(value.trim()));
-    Ok(())
 }
 
 /// A TOML value, or, where it is none (`env.map=path.txt`), the text itself.
@@ -178,21 +233,22 @@ fn scalar(text: &str) -> Value {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::config::{Algo, EncodingKind, SelectionKind, Threshold};
+    use crate::config::setting::as_toml;
+    use crate::config::testing::{Two, with};
+    use crate::config::{Algo, EncodingKind, SelectionKind, Threshold, declared};
 
     fn refused(overrides: &[&str]) -> String {
-        let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
-        load("maze30", &overrides).unwrap_err().to_string()
+        with("maze30", overrides).unwrap_err().to_string()
     }
 
     #[test]
     fn presets_are_valid_and_survive_toml() {
-        for preset in PRESETS {
-            assert!(preset.text.starts_with("# ") && preset.about().ends_with('.'), "{}", preset.name);
-            let config = load(preset.name, &[]).unwrap();
+        for preset in Two.presets() {
+            let config = with(preset.name, &[]).unwrap();
             let again = parse_toml("again", &to_toml(&config)).unwrap();
             assert_eq!(again, config);
         }
+        assert_eq!(Two.presets()[0].about(), "A maze.");
     }
 
     #[test]
@@ -205,18 +261,18 @@ mod tests {
             "env.map=some/path.txt",
             "mentor.selection=confidence",
         ];
-        let config = load("maze30", &sets.map(String::from)).unwrap();
+        let config = with("maze30", &sets).unwrap();
         assert_eq!(config.run.algo, Algo::Dqn);
         assert_eq!(config.learner.hidden, [16, 8]);
         assert_eq!(config.learner.lr, 2e-2);
-        assert_eq!(config.env.map, "some/path.txt");
+        assert_eq!(config.env.own["map"], Value::from("some/path.txt"));
         assert_eq!(config.mentor.selection, SelectionKind::Confidence);
     }
 
     #[test]
     fn thresholds_and_demonstrations_have_two_forms_each() {
         let sets = ["mentor.e_th=auto", "mentor.e_infeas=1", "mentor.demo={ b = \"b.csv\", a = \"plan\" }"];
-        let config = load("maze30", &sets.map(String::from)).unwrap();
+        let config = with("maze30", &sets).unwrap();
         assert_eq!((config.mentor.e_th, config.mentor.e_infeas), (Threshold::Auto, Threshold::Kl(1.0)));
         assert_eq!(config.mentor.demo.iter().collect::<Vec<_>>(), [("a", "plan"), ("b", "b.csv")]);
         assert_eq!(parse_toml("again", &to_toml(&config)).unwrap(), config);
@@ -268,37 +324,24 @@ mod tests {
             "run.algo = ha-diqn; accepted: dqn, diiqn, ha-diiqn; did you mean `ha-diiqn`?"
         );
         assert!(refused(&["learner"]).contains("key=value"));
-        assert!(refused(&["learner.lr.x=1"]).contains("no key below `lr`, whose value is 0.0005"));
+        assert!(refused(&["learner.lr.x=1"]).ends_with("accepted: a number above 0"));
         assert!(refused(&["learner.adam_eps.x=1"]).ends_with("accepted: a number above 0"));
         let long = format!("learner.hidden={:?}", vec![0; 1000]);
         assert!(refused(&[&long]).len() < 300);
-        assert_eq!(
-            refused(&["env.point_maze.magnitudes=[0.5, 2]"]),
-            "env.point_maze.magnitudes = [0.5, 2.0]; accepted: 1 to 8 different numbers above 0, up to 1"
-        );
-        assert!(refused(&["env.point_maze.magnitudes=[]"]).contains("1 to 8 different numbers"));
-        assert!(refused(&["env.point_maze.magnitudes=[1.0, 1.0]"]).contains("1 to 8 different numbers"));
-        assert!(refused(&["env.point_maze.frame_skip=0"]).ends_with("accepted: 1 to 100"));
-        assert!(refused(&["env.point_maze.backend=rapier"]).ends_with("accepted: auto, mujoco, builtin"));
-        let short = ["env.kind=point-maze", "eval.threshold=-0.6", "eval.tolerance=0", "env.step_limit=600"];
-        assert!(refused(&short).contains("above -0.600: else an episode that never reaches the goal"));
         assert!(refused(&["learner.lr=nan"]).contains("above 0"));
         assert!(refused(&["eval.tolerance=nan"]).contains("0 or more"));
-        let unknown = |name| load(name, &[]).unwrap_err().to_string();
-        assert!(
-            unknown("no-such")
-                .ends_with("presets: maze-small, maze30, maze30-tuned, point-umaze, point-maze")
-        );
+        let unknown = |name| with(name, &[]).unwrap_err().to_string();
+        assert!(unknown("no-such").ends_with("presets: maze30, maze30-tuned, cart"));
         assert!(unknown("maze31").ends_with("; did you mean `maze30`?"));
     }
 
     #[test]
     fn flags_win_over_overrides_and_are_checked_as_they_are() {
-        let seed = |seed| load_with("maze30", &["run.seed=1".into()], |config| config.run.seed = seed);
+        let seed = |seed| load_with(&Two, "maze30", &["run.seed=1".into()], |config| config.run.seed = seed);
         assert_eq!(seed(7).unwrap().run.seed, 7);
         let error = seed(u64::MAX).unwrap_err().to_string();
         assert_eq!(error, "run.seed = 18446744073709551615; accepted: 0 to 2^63 - 1");
-        let endless = load_with("maze30", &[], |config| config.run.episodes = Some(u64::MAX));
+        let endless = load_with(&Two, "maze30", &[], |config| config.run.episodes = Some(u64::MAX));
         assert!(
             endless.unwrap_err().to_string().starts_with("run.episodes = 18446744073709551615; accepted")
         );
@@ -306,17 +349,24 @@ mod tests {
 
     #[test]
     fn every_setting_is_declared_with_its_default() {
-        let all = Config::declared("");
+        let all = declared(&Two);
         assert!(all.iter().all(|s| !s.help.is_empty() && !s.accepted.is_empty() && !s.kind.is_empty()));
         // The table of defaults has each of them, but for those that are not set.
-        let written: Table = to_toml(&Config::default()).parse().unwrap();
-        for setting in all {
+        let shown = |name: &str| {
+            to_toml(&with(name, &["learner.hidden=[128, 128]"]).unwrap()).parse::<Table>().unwrap()
+        };
+        let default = from_table(&Two, Table::new(), &["run.env_steps=1".into()]).unwrap();
+        let written: Table = to_toml(&default).parse().unwrap();
+        assert!(shown("cart")["env"]["cart-pole"].get("force").is_some());
+        for setting in
+            all.iter().filter(|setting| setting.table() != "env.cart-pole" && setting.name() != "env_steps")
+        {
             let found = setting
                 .key
                 .split('.')
                 .try_fold(&Value::Table(written.clone()), |at, key| at.get(key))
                 .cloned();
-            let found = found.map_or_else(|| "none".into(), |value| value.to_string());
+            let found = found.map_or_else(|| "none".into(), |value| as_toml(&value));
             assert_eq!(found, setting.default, "{}", setting.key);
         }
     }
@@ -326,14 +376,59 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mine.toml");
         std::fs::write(&path, "base = \"maze30\"\n[learner]\nlr = 0.5\n").unwrap();
-        let config = load(path.to_str().unwrap(), &[]).unwrap();
+        let config = load(&Two, path.to_str().unwrap(), &[]).unwrap();
         assert_eq!(config.learner.lr, 0.5);
-        assert_eq!(config.env.map, "maze30");
+        assert_eq!(config.env.own["map"], Value::from("maze30"));
         std::fs::write(&path, "base = \"maze30-tuned\"\n[learner]\ntau = 0.01\n").unwrap();
-        let config = load(path.to_str().unwrap(), &[]).unwrap();
+        let config = load(&Two, path.to_str().unwrap(), &[]).unwrap();
         assert_eq!((config.learner.tau, config.learner.train_every), (0.01, 1));
-        assert_eq!((config.env.map, config.env.encoding), ("maze30".into(), EncodingKind::OneHot));
+        assert_eq!((&config.env.own["map"], config.env.encoding), (&"maze30".into(), EncodingKind::OneHot));
         std::fs::write(&path, "[learner\n").unwrap();
-        assert!(load(path.to_str().unwrap(), &[]).unwrap_err().to_string().contains("not valid TOML"));
+        assert!(load(&Two, path.to_str().unwrap(), &[]).unwrap_err().to_string().contains("not valid TOML"));
+    }
+
+    #[test]
+    fn an_environment_s_settings_have_a_short_form() {
+        let own = |sets: &[&str]| with("maze30", sets).unwrap().env;
+        assert_eq!(own(&["env.map=a.txt"]).own["map"], Value::from("a.txt"));
+        assert_eq!(own(&["env.maze.map=a.txt", "env.map=b.txt"]).own["map"], Value::from("b.txt"));
+        assert_eq!(own(&["env.map=a.txt", "env.maze.map=b.txt"]).own["map"], Value::from("b.txt"));
+        let sets =
+            own(&["env.action_sets.a=[\"N\"]", "env.action_sets.b=[\"S\"]"]).own["action_sets"].clone();
+        assert_eq!(sets.as_table().unwrap().len(), 2);
+        // A table that is given whole takes the place of the one before.
+        let sets =
+            own(&["env.action_sets.a=[\"N\"]", "env.action_sets={ b = [\"S\"] }"]).own["action_sets"].clone();
+        assert_eq!(sets.as_table().unwrap().keys().collect::<Vec<_>>(), ["b"]);
+        // Which environment it is in the end decides, and the others' tables are of no account.
+        let cart = own(&["env.force=3", "env.name=cart-pole", "env.maze.map=x"]);
+        assert_eq!(
+            (cart.name.as_str(), &cart.own),
+            ("cart-pole", &Table::from_iter([("force".into(), 3.0.into())]))
+        );
+        assert_eq!(refused(&["env.name=cart-pole", "env.force=-1"]), "env.force = -1.0; accepted: 0 to 100");
+        let both = ["env.name=cart-pole", "env.force=9", "env.step_limit=5"];
+        assert_eq!(refused(&both), "env.force = 9; accepted: up to env.step_limit");
+        assert_eq!(
+            refused(&["env.name=cartpole", "env.force=3"]),
+            "env.name = cartpole; accepted: maze, cart-pole; did you mean `cart-pole`?"
+        );
+        assert!(refused(&["env.mapp=x"]).ends_with("did you mean `env.map`?"));
+        assert!(refused(&["env.cart_pole.force=1"]).ends_with("did you mean `env.cart-pole`?"));
+        assert!(refused(&["env.stepp_limit=1"]).ends_with("did you mean `env.step_limit`?"));
+        assert!(refused(&["env.maze.mapp=x"]).ends_with("did you mean `env.map`?"));
+        assert_eq!(refused(&["env.maze=5"]), "env.maze = 5; accepted: a table of settings");
+        assert_eq!(refused(&["env=5"]), "env = 5; accepted: a table of settings");
+    }
+
+    #[test]
+    fn configurations_of_version_0_1_0_are_read() {
+        let text = "[run]\nepisodes = 4\n[env]\nkind = \"cart-pole\"\nmap = \"m\"\nlayout = \"S.G\"\nstep_limit = 7\n\
+            [env.action_sets]\nup = [\"N\"]\n[env.cart_pole]\nlayout = \"wide\"\n[env.other]\nx = 1\n[env.hazard]\nafter = 0\n";
+        let env = parse_toml("config.toml", text).unwrap().env;
+        let own: Table = "map = \"m\"\nmap_text = \"S.G\"\nlayout = \"wide\"\n[action_sets]\nup = [\"N\"]"
+            .parse()
+            .unwrap();
+        assert_eq!((env.name.as_str(), env.step_limit, env.own), ("cart-pole", 7, own));
     }
 }

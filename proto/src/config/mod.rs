@@ -7,30 +7,33 @@
 
 pub mod accepts;
 mod arm;
+mod before;
 mod combinations;
 mod demos;
 mod environment;
+mod environments;
 mod error;
 mod hazard;
 mod learner;
 mod load;
 mod mentor;
-mod point_maze;
 mod run;
 mod setting;
+#[cfg(test)]
+mod testing;
 mod threshold;
 mod upkeep;
 
 pub use demos::{Demos, ONLY, PLAN};
-pub use environment::{EncodingKind, Env, EnvKind};
+pub use environment::{EncodingKind, Env, SHARED};
+pub use environments::{Environments, declared};
 pub use error::{ConfigError, refuse};
 pub use hazard::{Hazard, HazardKind, HazardScope};
 pub use learner::{Backend, Exploration, Learner, LossKind, TargetKind};
-pub use load::{PRESETS, Preset, load, load_with, parse_toml, to_toml};
+pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
     CombineKind, CovarianceKind, DrawKind, Mentor, MetricKind, RewardKind, SelectionKind, Shaping,
 };
-pub use point_maze::{PhysicsBackend, PointLayout, PointMaze, PointReset};
 pub use run::{Algo, IsaKind, Mode, Run};
 pub use setting::{Choice, Field, Setting, expansion};
 pub use threshold::Threshold;
@@ -38,7 +41,7 @@ pub use toml::{Table, Value};
 pub use upkeep::{Checkpoint, Eval, Supervise};
 
 use crate::settings;
-use load::{preset_names, unknown};
+use load::unknown;
 
 settings! {
     /// All settings of a run.

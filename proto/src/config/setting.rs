@@ -225,7 +225,7 @@ pub mod expansion {
         help: &str,
         all: &mut Vec<Setting>,
     ) {
-        let default = Value::try_from(default).map_or_else(|_| "none".into(), |value| value.to_string());
+        let default = Value::try_from(default).map_or_else(|_| "none".into(), |value| as_toml(&value));
         let accepted = accepts.map_or_else(T::accepted, |accepts| accepts.words().into());
         let setting = Setting {
             key: below(table, name),
@@ -286,6 +286,14 @@ pub mod expansion {
     pub fn choice<T: Choice>(value: &Value, key: &str) -> Result<T, ConfigError> {
         let name = in_words(value);
         value.as_str().and_then(T::of_name).ok_or_else(|| refuse(key, &name, &T::accepted_for(&name)))
+    }
+}
+
+/// `value` as TOML, small numbers with an exponent.
+pub(super) fn as_toml(value: &Value) -> String {
+    match value {
+        Value::Float(number) if *number != 0.0 && number.abs() < 1e-4 => format!("{number:e}"),
+        other => other.to_string(),
     }
 }
 

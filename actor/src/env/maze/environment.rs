@@ -1,12 +1,10 @@
 //! The maze as an environment: dynamics, rewards, and the cells that an episode has visited.
 
-use super::actions::{ActionSet, action_set};
-use super::map::{Cell, Index, Map, Move};
-use super::search::mentor_path;
+use super::Settings;
+use crate::env::grid::{ActionSet, Cell, Index, Map, Move, mentor_path};
 use crate::env::{EnvError, Environment, Step};
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
-use trestle_proto::config;
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
@@ -84,27 +82,8 @@ struct State {
     visited: Vec<u64>,
 }
 
-/// The map of a resolved configuration.
-///
-/// # Errors
-/// There is no layout, or it is no map.
-pub fn map_of(env: &config::Env) -> Result<Map, EnvError> {
-    Ok(Map::parse(&env.map, env.layout.as_deref().ok_or(EnvError::Unresolved)?)?)
-}
-
-/// States of the optimal mentor: see [`crate::env::plan_states`].
-///
-/// # Errors
-/// No map, an unknown action set, or a goal that it does not reach.
-pub fn plan_states(env: &config::Env, mentor_actions: &str) -> Result<Vec<Vec<f32>>, EnvError> {
-    let map = map_of(env)?;
-    let set = action_set(env, "mentor.actions", mentor_actions)?;
-    let path = mentor_path(&env.map, &map, &set)?;
-    Ok(path.into_iter().map(|cell| observation(cell).to_vec()).collect())
-}
-
 /// The features of a cell.
-fn observation(cell: Cell) -> [f32; 2] {
+pub(super) fn observation(cell: Cell) -> [f32; 2] {
     cell.map(|coordinate| coordinate as f32)
 }
 
@@ -115,22 +94,21 @@ fn best_return(moves: usize) -> f64 {
 }
 
 impl Maze {
-    /// The maze of a resolved configuration, not yet reset.
+    /// The maze of resolved settings, not yet reset.
     ///
     /// # Errors
     /// No map, an unknown action set, or a goal that `env.actions` does not reach.
-    pub fn new(env: &config::Env) -> Result<Self, EnvError> {
-        let map = map_of(env)?;
-        let set = action_set(env, "env.actions", &env.actions)?;
-        let optimum = mentor_path(&env.map, &map, &set)?.len() - 1;
-        let spec = spec(env, &map, &set, optimum);
-        spec.validate()?;
+    pub(super) fn of(settings: &Settings, step_limit: u32) -> Result<Self, EnvError> {
+        let map = settings.map()?;
+        let set = settings.action_set("env.actions", &settings.actions)?;
+        let optimum = mentor_path(&settings.map, &map, &set)?.len() - 1;
+        let spec = spec(&settings.map, step_limit, &map, &set, optimum);
         Ok(Self {
             goal: map.index(map.goal()),
             at: map.index(map.start()),
             moves: map.moves(&set.directions),
             visited: Visited::new(map.indices()),
-            step_limit: env.step_limit,
+            step_limit,
             steps: 0,
             running: false,
             spec,
@@ -143,19 +121,20 @@ impl Maze {
     }
 }
 
-fn spec(env: &config::Env, map: &Map, set: &ActionSet, optimum: usize) -> EnvSpec {
+fn spec(name: &str, step_limit: u32, map: &Map, set: &ActionSet, optimum: usize) -> EnvSpec {
     // A map of one column or row still needs a range.
     let last = |side: usize| side.saturating_sub(1).max(1) as f32;
     EnvSpec {
-        name: format!("maze {}", env.map),
+        name: format!("maze {name}"),
         low: vec![0.0; 2],
         high: vec![last(map.columns()), last(map.rows())],
         scale: vec![1.0; 2],
         integral: true,
         actions: set.directions.iter().map(|d| d.name().to_string()).collect(),
         // Where every episode is cut off before the goal there is no optimum to reach.
-        best_return: (optimum as u64 <= u64::from(env.step_limit)).then(|| best_return(optimum)),
+        best_return: (optimum as u64 <= u64::from(step_limit)).then(|| best_return(optimum)),
         goal_bonus: 0.0,
+        defines_success: true,
     }
 }
 
@@ -197,7 +176,7 @@ impl Environment for Maze {
         let truncated = !terminated && self.steps >= self.step_limit;
         self.running = !(terminated || truncated);
         self.observe(obs);
-        Ok(Step { reward, terminated, truncated })
+        Ok(Step { reward, terminated, truncated, success: terminated })
     }
 
     fn snapshot(&self) -> Result<Vec<u8>, EnvError> {

@@ -1,10 +1,11 @@
 //! Tests of the maze's dynamics, rewards and snapshots.
 #![allow(clippy::unwrap_used)]
 
-use super::super::tests::any_map;
 use super::*;
-use crate::env::{build, plan_states, resolve};
+use crate::env::grid::tests::any_map;
+use crate::env::{Kind, grid};
 use proptest::prelude::*;
+use trestle_proto::config;
 use trestle_proto::rng::{Purpose, stream};
 
 const N: u32 = 0;
@@ -12,25 +13,32 @@ const E: u32 = 1;
 const S: u32 = 2;
 const W: u32 = 3;
 
-fn config(map: &str, actions: &str) -> config::Env {
-    let mut env = config::Env { map: map.into(), actions: actions.into(), ..config::Env::default() };
-    resolve(&mut env, 0).unwrap();
-    env
+/// Settings and a step limit.
+type Config = (Settings, u32);
+
+fn config(map: &str, actions: &str) -> Config {
+    let mut settings = Settings { map: map.into(), actions: actions.into(), ..Settings::default() };
+    grid::resolve(map, &mut settings.map_text, 0).unwrap();
+    (settings, 4000)
 }
 
-fn of_text(layout: &str, actions: &str, step_limit: u32) -> config::Env {
-    let map = "text".to_string();
-    config::Env {
-        map,
-        layout: Some(layout.into()),
-        actions: actions.into(),
-        step_limit,
-        ..config::Env::default()
-    }
+fn of_text(text: &str, actions: &str, step_limit: u32) -> Config {
+    let (map, map_text) = ("text".into(), Some(text.into()));
+    (Settings { map, map_text, actions: actions.into(), ..Settings::default() }, step_limit)
+}
+
+fn build((settings, step_limit): &Config) -> Result<Maze, EnvError> {
+    let maze = Maze::of(settings, *step_limit)?;
+    maze.spec.validate().unwrap();
+    Ok(maze)
+}
+
+fn plan_states((settings, _): &Config, actions: &str) -> Result<Vec<Vec<f32>>, EnvError> {
+    Maze::plan(settings, &config::Env::default(), actions).map(Option::unwrap)
 }
 
 /// Plays `actions` from the start: the steps and the cells reached.
-fn play(env: &config::Env, actions: &[u32]) -> Vec<(Step, [f32; 2])> {
+fn play(env: &Config, actions: &[u32]) -> Vec<(Step, [f32; 2])> {
     let mut maze = build(env).unwrap();
     let mut obs = [0.0; 2];
     maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
@@ -38,7 +46,7 @@ fn play(env: &config::Env, actions: &[u32]) -> Vec<(Step, [f32; 2])> {
 }
 
 fn step(reward: f32) -> Step {
-    Step { reward, terminated: false, truncated: false }
+    Step { reward, terminated: false, truncated: false, success: false }
 }
 
 #[test]
@@ -51,7 +59,7 @@ fn each_reward_applies_where_it_should() {
         (step(REVISIT_REWARD), [0.0, 0.0]),
         (step(REVISIT_REWARD), [1.0, 0.0]),
         (step(MOVE_REWARD), [1.0, 1.0]),
-        (Step { reward: GOAL_REWARD, terminated: true, truncated: false }, [2.0, 1.0]),
+        (Step { reward: GOAL_REWARD, terminated: true, truncated: false, success: true }, [2.0, 1.0]),
     ];
     assert_eq!(played, expected);
 }
@@ -65,7 +73,7 @@ fn a_new_episode_has_visited_nothing_but_the_start() {
         assert_eq!(obs, [0.0, 0.0]);
         assert_eq!(maze.step(E, &mut obs).unwrap().reward, MOVE_REWARD);
         let last = maze.step(W, &mut obs).unwrap();
-        assert_eq!(last, Step { reward: REVISIT_REWARD, terminated: false, truncated: true });
+        assert_eq!(last, Step { reward: REVISIT_REWARD, terminated: false, truncated: true, success: false });
     }
 }
 
@@ -82,7 +90,7 @@ fn visited_cells_survive_the_wrap_of_the_epoch() {
 #[test]
 fn the_goal_at_the_step_limit_is_an_end_and_no_truncation() {
     let played = play(&of_text("S.G\n", "regular", 2), &[E, E]);
-    assert_eq!(played[1].0, Step { reward: GOAL_REWARD, terminated: true, truncated: false });
+    assert_eq!(played[1].0, Step { reward: GOAL_REWARD, terminated: true, truncated: false, success: true });
 }
 
 #[test]
@@ -108,8 +116,8 @@ fn the_specification_describes_the_maze() {
 
 #[test]
 fn configurations_that_cannot_be_played_are_refused() {
-    let refused = |env: &config::Env| build(env).err().unwrap().to_string();
-    assert!(refused(&config::Env::default()).contains("env.layout is missing"));
+    let refused = |env: &Config| build(env).err().unwrap().to_string();
+    assert!(refused(&(Settings::default(), 9)).contains("env.map_text is missing"));
     assert!(
         refused(&of_text("S.G\n", "kings", 9))
             .contains("env.actions = kings; action sets: regular, irregular")
@@ -133,9 +141,9 @@ fn the_mentor_walks_from_start_to_goal() {
 }
 
 /// The actions of `env`'s own set that follow its optimal path.
-fn optimal_actions(env: &config::Env) -> Vec<u32> {
-    let set = action_set(env, "env.actions", &env.actions).unwrap();
-    let states = plan_states(env, &env.actions).unwrap();
+fn optimal_actions(env: &Config) -> Vec<u32> {
+    let set = env.0.action_set("env.actions", &env.0.actions).unwrap();
+    let states = plan_states(env, &env.0.actions).unwrap();
     let action = |pair: &[Vec<f32>]| {
         let delta = ((pair[1][0] - pair[0][0]) as i32, (pair[1][1] - pair[0][1]) as i32);
         set.directions.iter().position(|d| d.delta() == delta).unwrap() as u32
@@ -144,7 +152,7 @@ fn optimal_actions(env: &config::Env) -> Vec<u32> {
 }
 
 /// Plays an optimal episode of `env` and compares its return with the specification's.
-fn optimum_is_achieved(env: &config::Env) {
+fn optimum_is_achieved(env: &Config) {
     let played = play(env, &optimal_actions(env));
     assert!(played.last().unwrap().0.terminated);
     let total: f64 = played.iter().map(|(step, _)| f64::from(step.reward)).sum();
@@ -164,8 +172,8 @@ fn the_best_return_is_achieved_on_the_built_in_maps() {
 
 #[test]
 fn snapshots_of_other_mazes_are_refused() {
-    let snapshot = |env: &config::Env, actions: &[u32]| {
-        let mut maze = Maze::new(env).unwrap();
+    let snapshot = |env: &Config, actions: &[u32]| {
+        let mut maze = build(env).unwrap();
         let mut obs = [0.0; 2];
         maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
         for &action in actions {
@@ -173,8 +181,8 @@ fn snapshots_of_other_mazes_are_refused() {
         }
         maze.snapshot().unwrap()
     };
-    let refused = |env: &config::Env, bytes: &[u8]| {
-        let mut maze = Maze::new(env).unwrap();
+    let refused = |env: &Config, bytes: &[u8]| {
+        let mut maze = build(env).unwrap();
         let before = maze.snapshot().unwrap();
         let message = maze.restore(bytes).unwrap_err().to_string();
         assert_eq!(maze.snapshot().unwrap(), before);
@@ -211,7 +219,7 @@ proptest! {
     #[test]
     fn random_walks_follow_the_rules(map in any_map(), regular in any::<bool>(), actions in prop::collection::vec(0u32..4, 1..200)) {
         let env = of_text(&map.to_string(), if regular { "regular" } else { "irregular" }, 150);
-        let set = action_set(&env, "env.actions", &env.actions).unwrap();
+        let set = env.0.action_set("env.actions", &env.0.actions).unwrap();
         let Ok(mut maze) = build(&env) else { return Ok(()) };
         let mut obs = [0.0; 2];
         maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);

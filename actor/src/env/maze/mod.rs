@@ -1,49 +1,65 @@
 //! The two-dimensional maze: an agent on a map of cells, one cell a step, a goal that ends the episode.
 //!
-//! * [`Map`]: the text of a map, its cells, which moves are possible;
-//! * [`ActionSet`]: the mentor's and the observer's compass directions;
+//! * [`Settings`]: its table of a configuration;
 //! * [`Maze`]: dynamics and rewards;
-//! * [`Search`], [`mentor_path`]: shortest paths, hence the best return and the mentor's demonstration;
-//! * [`generate`]: random mazes; [`draw`]: paths on a map, as text.
+//! * `draw`: paths on its map, as text; `ground`: the same for reports;
+//! * `presets/`: configurations that are compiled in.
 
-mod actions;
 mod draw;
 mod environment;
-mod generate;
-mod map;
-mod search;
-mod source;
+mod ground;
+mod settings;
 
-pub use actions::{ActionSet, Direction, IRREGULAR, REGULAR, action_set};
-pub use draw::{cells, draw};
-pub use environment::{BLOCKED_REWARD, GOAL_REWARD, MOVE_REWARD, Maze, REVISIT_REWARD, map_of, plan_states};
-pub use generate::{MIN_SIDE, generate};
-pub use map::{Cell, Map, MapError, MapFault};
-pub use search::{Search, mentor_path};
-pub use source::resolve;
+pub use environment::{BLOCKED_REWARD, GOAL_REWARD, MOVE_REWARD, Maze, REVISIT_REWARD};
+pub use settings::Settings;
 
-pub(in crate::env) use source::builtin_names;
+use super::grid::{self, mentor_path};
+use super::{EnvError, Ground, Kind};
+use environment::observation;
+use trestle_proto::config::{self, Preset};
 
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::map::Map;
-    use proptest::prelude::*;
+impl Kind for Maze {
+    type Settings = Settings;
 
-    /// Maps of 2 to 8 columns and rows with a third of their cells walls; the goal may be out of reach.
-    pub(super) fn any_map() -> impl Strategy<Value = Map> {
-        (2usize..=8, 2usize..=8)
-            .prop_flat_map(|(columns, rows)| {
-                let walls = prop::collection::vec(prop::bool::weighted(0.3), columns * rows);
-                let ends = prop::sample::subsequence((0..columns * rows).collect::<Vec<_>>(), 2);
-                (Just(columns), walls, ends, any::<bool>())
-            })
-            .prop_map(|(columns, walls, ends, swapped)| {
-                let mut letters: Vec<char> = walls.iter().map(|&wall| if wall { '#' } else { '.' }).collect();
-                letters[ends[usize::from(swapped)]] = 'S';
-                letters[ends[usize::from(!swapped)]] = 'G';
-                let lines = letters.chunks(columns).map(|line| line.iter().collect::<String>() + "\n");
-                Map::parse("any", &lines.collect::<String>()).unwrap()
-            })
+    const ABOUT: &'static str = "One agent on a map of cells, one cell a step.";
+
+    fn new(settings: &Settings, env: &config::Env) -> Result<Self, EnvError> {
+        Self::of(settings, env.step_limit)
+    }
+
+    fn resolve(settings: &mut Settings, _env: &config::Env, seed: u64) -> Result<(), EnvError> {
+        Ok(grid::resolve(&settings.map, &mut settings.map_text, seed)?)
+    }
+
+    fn adopt(typed: &mut Settings, own: &Settings) {
+        typed.map_text.clone_from(&own.map_text);
+    }
+
+    fn presets() -> &'static [Preset] {
+        &[
+            Preset { name: "maze-small", text: include_str!("presets/maze-small.toml") },
+            Preset { name: "maze30", text: include_str!("presets/maze30.toml") },
+            Preset { name: "maze30-tuned", text: include_str!("presets/maze30-tuned.toml") },
+        ]
+    }
+
+    /// The path of an optimal mentor.
+    fn plan(
+        settings: &Settings,
+        _env: &config::Env,
+        actions: &str,
+    ) -> Result<Option<Vec<Vec<f32>>>, EnvError> {
+        let map = settings.map()?;
+        let set = settings.action_set("mentor.actions", actions)?;
+        let path = mentor_path(&settings.map, &map, &set)?;
+        Ok(Some(path.into_iter().map(|cell| observation(cell).to_vec()).collect()))
+    }
+
+    fn draw(settings: &Settings, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError> {
+        Ok(Some(draw::draw(&settings.map()?, paths)))
+    }
+
+    fn ground(settings: &Settings) -> Result<Option<Box<dyn Ground>>, EnvError> {
+        Ok(Some(Box::new(ground::Cells(settings.map()?))))
     }
 }

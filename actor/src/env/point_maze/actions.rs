@@ -1,10 +1,9 @@
 //! Forces as discrete actions: each direction of an action set at each magnitude, and no force at all.
 
+use super::Settings;
 use super::geometry::{Geometry, Vector};
 use crate::env::EnvError;
-pub use crate::env::maze::ActionSet;
-use crate::env::maze::{Direction, action_set};
-use trestle_proto::config;
+use crate::env::grid::Direction;
 
 /// The mentor's directions: along the axes.
 pub const ORTHOGONAL: &[Direction] = &[Direction::N, Direction::E, Direction::S, Direction::W];
@@ -27,14 +26,14 @@ pub(super) struct Force {
 /// # Errors
 /// An unknown set, or one of the configuration that cannot be used.
 pub(super) fn forces(
-    env: &config::Env,
+    settings: &Settings,
     key: &'static str,
     name: &str,
     geometry: &Geometry,
 ) -> Result<Vec<Force>, EnvError> {
-    let set = action_set(env, key, name)?;
+    let set = settings.action_set(key, name)?;
     let mut forces = Vec::new();
-    for &magnitude in &env.point_maze.magnitudes {
+    for &magnitude in &settings.magnitudes {
         for direction in &set.directions {
             let (column, row) = direction.delta();
             let change = [f64::from(column) * magnitude, f64::from(row) * magnitude];

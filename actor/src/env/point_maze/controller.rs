@@ -4,12 +4,11 @@
 //! optimum. Its physics is the built-in one, so that a plan does not depend on what is installed.
 
 use super::actions::{Force, forces};
-use super::environment::geometry_of;
 use super::geometry::{Geometry, Vector};
 use super::physics::{Body, GEAR, MASS, Physics, TIMESTEP};
+use super::{PlanError, Settings};
 use crate::env::EnvError;
-use crate::env::maze::{ActionSet, REGULAR, mentor_path};
-use trestle_proto::config;
+use crate::env::grid::{ActionSet, REGULAR, mentor_path};
 
 /// Most metres a second of each component that the controller aims for.
 const CRUISE: f64 = 2.0;
@@ -22,18 +21,22 @@ const CLOSE: f64 = 0.2;
 /// the last one is at the goal.
 ///
 /// # Errors
-/// No map, an unknown action set, or a goal that is not reached within `env.step_limit` steps.
-pub fn plan_states(env: &config::Env, mentor_actions: &str) -> Result<Vec<Vec<f32>>, EnvError> {
-    let geometry = geometry_of(env)?;
-    let forces = forces(env, "mentor.actions", mentor_actions, &geometry)?;
-    let frames = env.point_maze.frame_skip;
-    let physics = Physics::new(geometry.clone(), env.point_maze.contact_margin);
-    let mut waypoints = waypoints(env, &geometry)?.into_iter().peekable();
+/// No map, an unknown action set, or a goal that is not reached within `step_limit` steps.
+pub(super) fn plan_states(
+    settings: &Settings,
+    step_limit: u32,
+    mentor_actions: &str,
+) -> Result<Vec<Vec<f32>>, EnvError> {
+    let geometry = settings.geometry()?;
+    let forces = forces(settings, "mentor.actions", mentor_actions, &geometry)?;
+    let frames = settings.frame_skip;
+    let physics = Physics::new(geometry.clone(), settings.contact_margin);
+    let mut waypoints = waypoints(settings, &geometry)?.into_iter().peekable();
     let mut body = Body { position: geometry.place(geometry.map().start()), velocity: [0.0; 2] };
     let mut states = vec![body.observation().to_vec()];
     while !geometry.reached(body.position) {
-        if states.len() > env.step_limit as usize {
-            return Err(EnvError::Plan { actions: mentor_actions.into(), steps: env.step_limit });
+        if states.len() > step_limit as usize {
+            return Err(EnvError::own(PlanError { actions: mentor_actions.into(), steps: step_limit }));
         }
         let near = |w: &Vector| (0..2).all(|i| (w[i] - body.position[i]).abs() < CLOSE);
         // The last waypoint is the goal and is never passed.
@@ -50,8 +53,8 @@ pub fn plan_states(env: &config::Env, mentor_actions: &str) -> Result<Vec<Vec<f3
 }
 
 /// Middles of the cells at which the shortest path turns, and the goal's place.
-fn waypoints(env: &config::Env, geometry: &Geometry) -> Result<Vec<Vector>, EnvError> {
-    let path = mentor_path(&env.map, geometry.map(), &ActionSet::new("regular", REGULAR))?;
+fn waypoints(settings: &Settings, geometry: &Geometry) -> Result<Vec<Vector>, EnvError> {
+    let path = mentor_path(&settings.map, geometry.map(), &ActionSet::new("regular", REGULAR))?;
     let middle = |cell: &[usize; 2]| geometry.centre([cell[0] as isize, cell[1] as isize]);
     let turns = path.windows(3).filter(|w| w[0][0] != w[2][0] && w[0][1] != w[2][1]);
     let mut waypoints: Vec<Vector> = turns.map(|w| middle(&w[1])).collect();

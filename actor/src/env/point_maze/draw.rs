@@ -9,7 +9,7 @@ const CELL: usize = 6;
 
 /// The maze of `geometry` with `paths`: states, 4 features each as the environment gives them, and the mark of each.
 /// Where two meet, the later one is seen; start and goal stay visible.
-pub fn draw(geometry: &Geometry, paths: &[(&[f32], char)]) -> String {
+pub(super) fn draw(geometry: &Geometry, paths: &[(&[f32], char)]) -> String {
     let map = geometry.map();
     let wide = (WIDTH / map.columns()).clamp(1, CELL);
     let high = (wide / 2).max(1);
@@ -45,13 +45,13 @@ pub fn draw(geometry: &Geometry, paths: &[(&[f32], char)]) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::env::maze::Map;
-    use trestle_proto::config::PointLayout;
+    use crate::env::grid::Map;
+    use crate::env::point_maze::Layout;
 
     #[test]
     fn paths_are_laid_over_the_maze() {
         let map = Map::parse("m", "####\n#SG#\n####\n").unwrap();
-        let geometry = Geometry::new(map, PointLayout::Gymnasium);
+        let geometry = Geometry::new(map, Layout::Gymnasium);
         let path = [-0.9, 0.4, 0.0, 0.0, -0.9, -0.4, 1.0, 1.0, 99.0, 0.0, 0.0, 0.0, -99.0, 0.0, 0.0, 0.0];
         let wall = format!("{0}\n{0}\n{0}\n", "#".repeat(24));
         let inside = "######o           ######\n######   S     G  ######\n######o           ######\n";

@@ -3,10 +3,14 @@
 use super::geometry::{Geometry, Vector};
 use super::mujoco::{self, MujocoError, Simulation};
 use super::physics::{Body, Physics};
+use super::{Backend, Settings};
 use crate::env::EnvError;
-use serde::Serialize;
-use std::path::PathBuf;
-use trestle_proto::config::{self, PhysicsBackend};
+use trestle_proto::config::Table;
+
+/// Settings that still say `auto`.
+#[derive(Debug, thiserror::Error)]
+#[error("the configuration is not resolved: env.backend is auto")]
+struct Unresolved;
 
 /// A simulation of one maze.
 pub(super) enum Engine {
@@ -15,16 +19,14 @@ pub(super) enum Engine {
 }
 
 impl Engine {
-    /// The engine of a resolved configuration.
-    pub(super) fn new(point: &config::PointMaze, geometry: &Geometry) -> Result<Self, EnvError> {
-        match point.backend {
-            PhysicsBackend::Auto => Err(EnvError::Unresolved),
-            PhysicsBackend::Builtin => {
-                Ok(Self::Builtin(Physics::new(geometry.clone(), point.contact_margin)))
-            }
-            PhysicsBackend::Mujoco => {
+    /// The engine of resolved settings.
+    pub(super) fn new(settings: &Settings, geometry: &Geometry) -> Result<Self, EnvError> {
+        match settings.backend {
+            Backend::Auto => Err(EnvError::own(Unresolved)),
+            Backend::Builtin => Ok(Self::Builtin(Physics::new(geometry.clone(), settings.contact_margin))),
+            Backend::Mujoco => {
                 let library = mujoco::library()?;
-                Ok(Self::Mujoco(Simulation::new(library, geometry, point.contact_margin)?))
+                Ok(Self::Mujoco(Simulation::new(library, geometry, settings.contact_margin)?))
             }
         }
     }
@@ -48,15 +50,15 @@ impl Engine {
 }
 
 /// Puts what is used into the place of `auto`, and sees that MuJoCo is there where it is asked for.
-pub(super) fn resolve(point: &mut config::PointMaze, geometry: &Geometry) -> Result<(), EnvError> {
+pub(super) fn resolve(settings: &mut Settings, geometry: &Geometry) -> Result<(), EnvError> {
     let too_large = || geometry.walls().len() > mujoco::MAX_WALLS;
-    point.backend = match point.backend {
-        PhysicsBackend::Builtin => PhysicsBackend::Builtin,
-        PhysicsBackend::Mujoco => mujoco::library().map(|_| PhysicsBackend::Mujoco)?,
-        PhysicsBackend::Auto => match mujoco::library() {
-            Ok(_) if too_large() => PhysicsBackend::Builtin,
-            Ok(_) => PhysicsBackend::Mujoco,
-            Err(MujocoError::Missing { .. }) => PhysicsBackend::Builtin,
+    settings.backend = match settings.backend {
+        Backend::Builtin => Backend::Builtin,
+        Backend::Mujoco => mujoco::library().map(|_| Backend::Mujoco)?,
+        Backend::Auto => match mujoco::library() {
+            Ok(_) if too_large() => Backend::Builtin,
+            Ok(_) => Backend::Mujoco,
+            Err(MujocoError::Missing { .. }) => Backend::Builtin,
             // Somebody has named a library, and it does not work.
             Err(error) => return Err(error.into()),
         },
@@ -64,30 +66,15 @@ pub(super) fn resolve(point: &mut config::PointMaze, geometry: &Geometry) -> Res
     Ok(())
 }
 
-/// What a run's physics comes from, for its records.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct EngineInfo {
-    /// `builtin` or `mujoco`.
-    pub backend: &'static str,
-    /// MuJoCo's version.
-    pub version: Option<String>,
-    /// MuJoCo's file.
-    pub library: Option<PathBuf>,
-    /// Distance in metres at which a wall begins to push.
-    pub contact_margin: f64,
-}
-
-/// The engine that a resolved configuration's Point Maze uses; `None` where there is no Point Maze.
-pub fn engine_info(env: &config::Env) -> Option<EngineInfo> {
-    if env.kind != config::EnvKind::PointMaze {
-        return None;
+/// What computes the physics of resolved settings: back end, margin, and of MuJoCo the version and the file.
+pub(super) fn engine(settings: &Settings) -> Table {
+    let library = (settings.backend == Backend::Mujoco).then(|| mujoco::library().ok()).flatten();
+    let mut engine = Table::new();
+    engine.insert("backend".into(), settings.backend.name().into());
+    engine.insert("contact_margin".into(), settings.contact_margin.into());
+    if let Some(library) = library {
+        engine.insert("version".into(), library.version().to_string().into());
+        engine.insert("library".into(), library.path().display().to_string().into());
     }
-    let point = &env.point_maze;
-    let library = (point.backend == PhysicsBackend::Mujoco).then(|| mujoco::library().ok()).flatten();
-    Some(EngineInfo {
-        backend: point.backend.name(),
-        version: library.map(|library| library.version().to_string()),
-        library: library.map(|library| library.path().into()),
-        contact_margin: point.contact_margin,
-    })
+    engine
 }

@@ -1,19 +1,19 @@
 //! The Point Maze as an environment: actions, episodes and rewards around the simulation.
 
 use super::actions::{Force, forces};
-use super::engine::{self, Engine};
+use super::engine::Engine;
 use super::geometry::{Geometry, Vector};
 use super::physics::{Body, GEAR, MASS, SPEED_LIMIT, TIMESTEP};
-use crate::env::maze::{ActionSet, REGULAR, map_of, mentor_path};
+use super::{Layout, Reset, Settings};
+use crate::env::grid::{ActionSet, REGULAR, mentor_path};
 use crate::env::{EnvError, Environment, Step};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
-use trestle_proto::config::{self, PointLayout, PointReset};
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
-/// Reward of every step. `env.point_maze.goal_reward` is added where the goal is reached, for the learner alone.
+/// Reward of every step. `goal_reward` is added where the goal is reached, for the learner alone.
 pub const STEP_REWARD: f32 = -0.001;
 
 const KIND: Kind = Kind { magic: *b"TRPOINT\0", version: 1 };
@@ -24,8 +24,8 @@ pub struct PointMaze {
     engine: Engine,
     geometry: Geometry,
     forces: Vec<Force>,
-    reset: PointReset,
-    layout: PointLayout,
+    reset: Reset,
+    layout: Layout,
     frame_skip: u32,
     step_limit: u32,
     body: Body,
@@ -43,14 +43,6 @@ struct State {
     running: bool,
 }
 
-/// The map of a resolved configuration in the plane.
-///
-/// # Errors
-/// There is no map.
-pub(super) fn geometry_of(env: &config::Env) -> Result<Geometry, EnvError> {
-    Ok(Geometry::new(map_of(env)?, env.point_maze.layout))
-}
-
 impl Body {
     /// With a velocity as a step of the environment may begin with.
     pub(super) fn limited(self) -> Self {
@@ -64,33 +56,22 @@ impl Body {
     }
 }
 
-/// Completes `env`, which has its map: puts what computes the physics into the place of `auto`.
-///
-/// # Errors
-/// MuJoCo is asked for and not there.
-pub fn resolve(env: &mut config::Env) -> Result<(), EnvError> {
-    let geometry = geometry_of(env)?;
-    engine::resolve(&mut env.point_maze, &geometry)
-}
-
 impl PointMaze {
-    /// The Point Maze of a resolved configuration, not yet reset.
+    /// The Point Maze of resolved settings, not yet reset.
     ///
     /// # Errors
     /// No map, a goal that cannot be reached from the start, or an unknown action set.
-    pub fn new(env: &config::Env) -> Result<Self, EnvError> {
-        let geometry = geometry_of(env)?;
-        mentor_path(&env.map, geometry.map(), &ActionSet::new("regular", REGULAR))?;
-        let forces = forces(env, "env.actions", &env.actions, &geometry)?;
-        let spec = spec(env, &geometry, &forces);
-        spec.validate()?;
-        let point = &env.point_maze;
+    pub(super) fn of(settings: &Settings, step_limit: u32) -> Result<Self, EnvError> {
+        let geometry = settings.geometry()?;
+        mentor_path(&settings.map, geometry.map(), &ActionSet::new("regular", REGULAR))?;
+        let forces = forces(settings, "env.actions", &settings.actions, &geometry)?;
+        let spec = spec(settings, &geometry, &forces);
         Ok(Self {
-            engine: Engine::new(point, &geometry)?,
-            reset: point.reset,
-            layout: point.layout,
-            frame_skip: point.frame_skip,
-            step_limit: env.step_limit,
+            engine: Engine::new(settings, &geometry)?,
+            reset: settings.reset,
+            layout: settings.layout,
+            frame_skip: settings.frame_skip,
+            step_limit,
             body: Body::default(),
             steps: 0,
             running: false,
@@ -102,7 +83,7 @@ impl PointMaze {
 
     /// Where an episode begins.
     fn first(&self, rng: &mut Stream) -> Body {
-        if self.reset == PointReset::Start {
+        if self.reset == Reset::Start {
             return Body { position: self.geometry.place(self.geometry.map().start()), velocity: [0.0; 2] };
         }
         // The start is one of them, so there is always a cell to draw.
@@ -110,13 +91,13 @@ impl PointMaze {
         let cells: Vec<_> = self.geometry.free_cells().filter(|&cell| cell != goal).collect();
         let place = self.geometry.place(cells[rng.random_range(0..cells.len())]);
         let noise = match self.layout {
-            PointLayout::D4rl => 0.1,
-            PointLayout::Gymnasium => 0.25,
+            Layout::D4rl => 0.1,
+            Layout::Gymnasium => 0.25,
         };
         let position = place.map(|x| x + rng.random_range(-noise..=noise));
         let velocity = match self.layout {
-            PointLayout::D4rl => [0; 2].map(|_| 0.1 * normal(rng)),
-            PointLayout::Gymnasium => [0.0; 2],
+            Layout::D4rl => [0; 2].map(|_| 0.1 * normal(rng)),
+            Layout::Gymnasium => [0.0; 2],
         };
         Body { position, velocity }
     }
@@ -129,10 +110,9 @@ fn normal(rng: &mut Stream) -> f64 {
     radius * libm::cos(std::f64::consts::TAU * rng.random::<f64>())
 }
 
-fn spec(env: &config::Env, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
-    let point = &env.point_maze;
-    let frames = f64::from(point.frame_skip);
-    let strongest = point.magnitudes.iter().copied().fold(0.0, f64::max);
+fn spec(settings: &Settings, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
+    let frames = f64::from(settings.frame_skip);
+    let strongest = settings.magnitudes.iter().copied().fold(0.0, f64::max);
     // What one step of the environment changes at most: the velocity at full force, the position at full speed.
     let change = frames * TIMESTEP * GEAR * strongest / MASS;
     let top = SPEED_LIMIT + change;
@@ -140,14 +120,15 @@ fn spec(env: &config::Env, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
     let [low, high] = geometry.bounds();
     let narrow = |values: [f64; 4]| values.map(|value| value as f32).to_vec();
     EnvSpec {
-        name: format!("point-maze {}", env.map),
+        name: format!("point-maze {}", settings.map),
         low: narrow([low[0], low[1], -top, -top]),
         high: narrow([high[0], high[1], top, top]),
         scale: narrow([stride, stride, change, change]),
         integral: false,
         actions: forces.iter().map(|force| force.name.clone()).collect(),
         best_return: None,
-        goal_bonus: point.goal_reward as f32,
+        goal_bonus: settings.goal_reward as f32,
+        defines_success: true,
     }
 }
 
@@ -177,7 +158,7 @@ impl Environment for PointMaze {
         self.running = !(terminated || truncated);
         obs.copy_from_slice(&self.body.observation());
         let reward = if terminated { STEP_REWARD + self.spec.goal_bonus } else { STEP_REWARD };
-        Ok(Step { reward, terminated, truncated })
+        Ok(Step { reward, terminated, truncated, success: terminated })
     }
 
     fn snapshot(&self) -> Result<Vec<u8>, EnvError> {

@@ -1,23 +1,31 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::env::{build, plan_states, resolve};
-use trestle_proto::config::{EnvKind, PhysicsBackend};
+use crate::env::grid;
+use crate::env::point_maze::Backend;
+use crate::env::point_maze::controller::plan_states;
 use trestle_proto::rng::{Purpose, stream};
 
-fn config(map: &str, actions: &str) -> config::Env {
-    let mut env = config::Env {
-        kind: EnvKind::PointMaze,
-        map: map.into(),
-        actions: actions.into(),
-        point_maze: config::PointMaze { backend: PhysicsBackend::Builtin, ..config::PointMaze::default() },
-        ..config::Env::default()
-    };
-    resolve(&mut env, 0).unwrap();
-    env
+/// Settings and a step limit.
+struct Config {
+    settings: Settings,
+    step_limit: u32,
 }
 
-fn started(env: &config::Env) -> (PointMaze, [f32; 4]) {
-    let mut point = PointMaze::new(env).unwrap();
+fn config(map: &str, actions: &str) -> Config {
+    let (map, actions) = (map.into(), actions.into());
+    let mut settings = Settings { map, actions, backend: Backend::Builtin, ..Settings::default() };
+    grid::resolve(&settings.map, &mut settings.map_text, 0).unwrap();
+    Config { settings, step_limit: 4000 }
+}
+
+fn built(config: &Config) -> Result<PointMaze, EnvError> {
+    let point = PointMaze::of(&config.settings, config.step_limit)?;
+    point.spec.validate().unwrap();
+    Ok(point)
+}
+
+fn started(env: &Config) -> (PointMaze, [f32; 4]) {
+    let mut point = built(env).unwrap();
     let mut obs = [f32::NAN; 4];
     point.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
     (point, obs)
@@ -25,21 +33,21 @@ fn started(env: &config::Env) -> (PointMaze, [f32; 4]) {
 
 #[test]
 fn the_action_sets_share_nothing_but_no_force() {
-    let names = |actions| PointMaze::new(&config("medium", actions)).unwrap().spec.actions;
+    let names = |actions| built(&config("medium", actions)).unwrap().spec.actions;
     assert_eq!(names("orthogonal"), ["N 0.5", "E 0.5", "S 0.5", "W 0.5", "N 1", "E 1", "S 1", "W 1", "none"]);
     assert_eq!(
         names("diagonal"),
         ["NE 0.5", "SE 0.5", "SW 0.5", "NW 0.5", "NE 1", "SE 1", "SW 1", "NW 1", "none"]
     );
-    let controls = |actions| PointMaze::new(&config("medium", actions)).unwrap().forces;
+    let controls = |actions| built(&config("medium", actions)).unwrap().forces;
     assert!(controls("diagonal").iter().all(|force| force.control[0].abs() == force.control[1].abs()));
     // D4RL's x counts rows: south is along x.
     assert_eq!(controls("orthogonal")[2].control, [0.5, 0.0]);
     let mut own = config("medium", "axis");
-    own.action_sets = [("axis".to_string(), vec!["N".to_string(), "S".to_string()])].into();
-    own.point_maze.magnitudes = vec![0.25];
-    assert_eq!(PointMaze::new(&own).unwrap().spec.actions, ["N 0.25", "S 0.25", "none"]);
-    let message = PointMaze::new(&config("medium", "regular")).err().unwrap().to_string();
+    own.settings.action_sets = [("axis".to_string(), vec!["N".to_string(), "S".to_string()])].into();
+    own.settings.magnitudes = vec![0.25];
+    assert_eq!(built(&own).unwrap().spec.actions, ["N 0.25", "S 0.25", "none"]);
+    let message = built(&config("medium", "regular")).err().unwrap().to_string();
     assert_eq!(message, "env.actions = regular; action sets: orthogonal, diagonal");
 }
 
@@ -49,7 +57,7 @@ fn the_benchmark_begins_at_rest_and_falls_freely() {
     assert_eq!(obs, [1.0, 1.0, 0.0, 0.0]);
     let mut obs = obs;
     let step = point.step(6, &mut obs).unwrap();
-    assert_eq!(step, Step { reward: STEP_REWARD, terminated: false, truncated: false });
+    assert_eq!(step, Step { reward: STEP_REWARD, terminated: false, truncated: false, success: false });
     let velocity = 0.01 * 100.0 / (MASS + 0.01);
     assert_eq!(obs, [(1.0 + 0.01 * velocity) as f32, 1.0, velocity as f32, 0.0]);
 }
@@ -57,11 +65,11 @@ fn the_benchmark_begins_at_rest_and_falls_freely() {
 #[test]
 fn the_goal_ends_an_episode_and_pays_the_learner_alone() {
     let mut env = config("umaze", "orthogonal");
-    env.point_maze.goal_reward = 2.0;
+    env.settings.goal_reward = 2.0;
     let (mut point, mut obs) = started(&env);
     point.body = Body { position: [1.0, 1.52], velocity: [0.0, -5.0] };
     let step = point.step(8, &mut obs).unwrap();
-    assert!(step.terminated && !step.truncated);
+    assert!(step.terminated && step.success && !step.truncated);
     assert_eq!(step.reward, 2.0 + STEP_REWARD);
     let reported = trestle_proto::space::reported(step.reward, true, point.spec.goal_bonus);
     assert!((reported - f64::from(STEP_REWARD)).abs() < 1e-6);
@@ -78,7 +86,7 @@ fn the_velocity_is_cut_off_before_a_step() {
 #[test]
 fn frames_are_skipped_with_the_same_control() {
     let mut skipping = config("medium", "orthogonal");
-    skipping.point_maze.frame_skip = 4;
+    skipping.settings.frame_skip = 4;
     let ((mut skipping, mut a), (mut single, mut b)) =
         (started(&skipping), started(&config("medium", "orthogonal")));
     skipping.step(5, &mut a).unwrap();
@@ -91,11 +99,11 @@ fn frames_are_skipped_with_the_same_control() {
 
 #[test]
 fn random_resets_follow_the_layout() {
-    for (layout, noise, speed) in [(PointLayout::D4rl, 0.1, 1.0), (PointLayout::Gymnasium, 0.25, 0.0)] {
+    for (layout, noise, speed) in [(Layout::D4rl, 0.1, 1.0), (Layout::Gymnasium, 0.25, 0.0)] {
         let mut env = config("umaze", "orthogonal");
-        env.point_maze.layout = layout;
-        env.point_maze.reset = PointReset::Random;
-        let mut point = PointMaze::new(&env).unwrap();
+        env.settings.layout = layout;
+        env.settings.reset = Reset::Random;
+        let mut point = built(&env).unwrap();
         let mut rng = stream(1, Purpose::Environment, 0);
         let mut seen = std::collections::BTreeSet::new();
         let (mut sum, mut squares) = (0.0, 0.0);
@@ -111,7 +119,7 @@ fn random_resets_follow_the_layout() {
             squares += point.body.velocity[1] * point.body.velocity[1];
         }
         assert_eq!(seen.len(), point.geometry.map().free_cells() - 1);
-        if layout == PointLayout::D4rl {
+        if layout == Layout::D4rl {
             // Mean and deviation of 2000 draws of N(0, 0.1), within four standard errors.
             assert!((sum / 2000.0).abs() < 0.009 && ((squares / 2000.0).sqrt() - 0.1).abs() < 0.0064);
         }
@@ -142,11 +150,11 @@ fn snapshots_of_other_states_are_refused() {
 fn the_controller_reaches_every_goal_with_either_set() {
     for map in ["umaze", "medium", "large", "maze-small"] {
         for actions in ["orthogonal", "diagonal"] {
-            for layout in [PointLayout::D4rl, PointLayout::Gymnasium] {
+            for layout in [Layout::D4rl, Layout::Gymnasium] {
                 let mut env = config(map, "diagonal");
-                env.point_maze.layout = layout;
-                let states = plan_states(&env, actions).unwrap();
-                let spec = build(&env).unwrap().spec().clone();
+                env.settings.layout = layout;
+                let states = plan_states(&env.settings, env.step_limit, actions).unwrap();
+                let spec = built(&env).unwrap().spec.clone();
                 for state in &states {
                     assert!(
                         state.iter().zip(spec.low.iter().zip(&spec.high)).all(|(x, (l, h))| l <= x && x <= h)
@@ -164,14 +172,14 @@ fn the_controller_reaches_every_goal_with_either_set() {
     }
     let mut env = config("medium", "diagonal");
     env.step_limit = 50;
-    let message = plan_states(&env, "orthogonal").unwrap_err().to_string();
+    let message = plan_states(&env.settings, env.step_limit, "orthogonal").unwrap_err().to_string();
     assert!(message.contains("env.step_limit = 50 steps"), "{message}");
 }
 
 #[test]
 fn a_goal_behind_walls_is_refused() {
     let mut env = config("umaze", "diagonal");
-    env.layout = Some("S#G\n".into());
-    let message = PointMaze::new(&env).err().unwrap().to_string();
+    env.settings.map_text = Some("S#G\n".into());
+    let message = built(&env).err().unwrap().to_string();
     assert!(message.contains("cannot be reached"), "{message}");
 }

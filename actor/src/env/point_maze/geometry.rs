@@ -1,7 +1,7 @@
 //! Between points in metres and cells of the map.
 
-use crate::env::maze::{Cell, Map};
-use trestle_proto::config::PointLayout;
+use crate::env::grid::{Cell, Map};
+use crate::env::point_maze::Layout;
 
 /// A point, a velocity or a force: x and y.
 pub type Vector = [f64; 2];
@@ -10,12 +10,12 @@ pub type Vector = [f64; 2];
 #[derive(Clone, Debug)]
 pub struct Geometry {
     map: Map,
-    layout: PointLayout,
+    layout: Layout,
 }
 
 impl Geometry {
     /// `map` in the coordinates of `layout`.
-    pub fn new(map: Map, layout: PointLayout) -> Self {
+    pub fn new(map: Map, layout: Layout) -> Self {
         Self { map, layout }
     }
 
@@ -29,8 +29,8 @@ impl Geometry {
     pub fn place(&self, cell: Cell) -> Vector {
         let [column, row] = cell.map(|coordinate| coordinate as f64);
         match self.layout {
-            PointLayout::D4rl => [row, column],
-            PointLayout::Gymnasium => self.centre([cell[0] as isize, cell[1] as isize]),
+            Layout::D4rl => [row, column],
+            Layout::Gymnasium => self.centre([cell[0] as isize, cell[1] as isize]),
         }
     }
 
@@ -42,8 +42,8 @@ impl Geometry {
     /// The point at [column, row], whole numbers in the middle of a cell.
     pub fn point(&self, [column, row]: Vector) -> Vector {
         match self.layout {
-            PointLayout::D4rl => [row - 0.2, column - 0.2],
-            PointLayout::Gymnasium => {
+            Layout::D4rl => [row - 0.2, column - 0.2],
+            Layout::Gymnasium => {
                 [column + 0.5 - self.map.columns() as f64 / 2.0, self.map.rows() as f64 / 2.0 - (row + 0.5)]
             }
         }
@@ -53,8 +53,8 @@ impl Geometry {
     pub fn grid(&self, point: Vector) -> Vector {
         let [x, y] = point;
         match self.layout {
-            PointLayout::D4rl => [y + 0.2, x + 0.2],
-            PointLayout::Gymnasium => {
+            Layout::D4rl => [y + 0.2, x + 0.2],
+            Layout::Gymnasium => {
                 [x - 0.5 + self.map.columns() as f64 / 2.0, self.map.rows() as f64 / 2.0 - y - 0.5]
             }
         }
@@ -77,16 +77,16 @@ impl Geometry {
     pub fn turn(&self, change: Vector) -> Vector {
         let [column, row] = change;
         match self.layout {
-            PointLayout::D4rl => [row, column],
-            PointLayout::Gymnasium => [column, -row],
+            Layout::D4rl => [row, column],
+            Layout::Gymnasium => [column, -row],
         }
     }
 
     /// Distance from the goal's place at which an episode ends, metres.
     pub fn goal_radius(&self) -> f64 {
         match self.layout {
-            PointLayout::D4rl => 0.5,
-            PointLayout::Gymnasium => 0.45,
+            Layout::D4rl => 0.5,
+            Layout::Gymnasium => 0.45,
         }
     }
 
@@ -137,11 +137,11 @@ impl Geometry {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::env::maze::Map;
+    use crate::env::grid::Map;
 
     fn both() -> [Geometry; 2] {
         let map = Map::parse("m", "#####\n#G..#\n###.#\n#S..#\n#####\n").unwrap();
-        [PointLayout::D4rl, PointLayout::Gymnasium].map(|layout| Geometry::new(map.clone(), layout))
+        [Layout::D4rl, Layout::Gymnasium].map(|layout| Geometry::new(map.clone(), layout))
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn a_map_without_a_border_is_surrounded_by_walls() {
-        let geometry = Geometry::new(Map::parse("m", "SG\n").unwrap(), PointLayout::Gymnasium);
+        let geometry = Geometry::new(Map::parse("m", "SG\n").unwrap(), Layout::Gymnasium);
         assert!(geometry.is_wall([-1, 0]) && geometry.is_wall([0, 1]) && !geometry.is_wall([1, 0]));
         assert_eq!(geometry.walls().len(), 10);
     }

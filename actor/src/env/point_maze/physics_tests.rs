@@ -1,8 +1,8 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use crate::env::maze::Map;
+use crate::env::grid::Map;
+use crate::env::point_maze::Layout;
 use proptest::prelude::*;
-use trestle_proto::config::PointLayout;
 
 const STEPS: &str = include_str!("../../../../tests/golden/point_maze_steps.csv");
 const ROLLOUTS: &str = include_str!("../../../../tests/golden/point_maze_rollouts.csv");
@@ -18,7 +18,7 @@ fn golden(text: &'static str) -> Vec<(&'static str, f64, Vec<f64>)> {
     text.lines().skip(1).map(line).collect()
 }
 
-fn geometry(name: &str, layout: PointLayout) -> Geometry {
+fn geometry(name: &str, layout: Layout) -> Geometry {
     let text = match name {
         "umaze" => include_str!("../../../maps/umaze.txt"),
         "medium" => include_str!("../../../maps/medium.txt"),
@@ -49,7 +49,7 @@ fn a_step_is_mujocos() {
     let steps = golden(STEPS);
     assert_eq!(steps.len(), 240);
     for (name, margin, numbers) in steps {
-        let physics = Physics::new(geometry(name, PointLayout::Gymnasium), margin);
+        let physics = Physics::new(geometry(name, Layout::Gymnasium), margin);
         let mut found = body(&numbers[..4]);
         step(&physics, &mut found, [numbers[4], numbers[5]]);
         let difference = difference(&found, &body(&numbers[6..]));
@@ -63,7 +63,7 @@ fn three_hundred_steps_are_mujocos() {
     assert_eq!(lines.len(), 6 * 30);
     for rollout in lines.chunks(30) {
         let (name, margin, _) = rollout[0];
-        let geometry = geometry(name, PointLayout::Gymnasium);
+        let geometry = geometry(name, Layout::Gymnasium);
         let mut found = Body { position: geometry.place(geometry.map().start()), ..Body::default() };
         let physics = Physics::new(geometry, margin);
         for (_, _, numbers) in rollout {
@@ -79,8 +79,7 @@ fn three_hundred_steps_are_mujocos() {
 /// The layouts are one maze in other coordinates: transposed and moved.
 #[test]
 fn both_layouts_are_the_same_physics() {
-    let [d4rl, gymnasium] =
-        [PointLayout::D4rl, PointLayout::Gymnasium].map(|layout| geometry("medium", layout));
+    let [d4rl, gymnasium] = [Layout::D4rl, Layout::Gymnasium].map(|layout| geometry("medium", layout));
     let start = d4rl.centre([1, 1]);
     let mut ours = Body { position: [start[0] + 0.1, start[1] + 0.3], ..Body::default() };
     let start = gymnasium.centre([1, 1]);
@@ -124,7 +123,7 @@ proptest! {
     /// contact can act on it.
     #[test]
     fn walls_hold(controls in prop::collection::vec((-1.0..=1.0f64, -1.0..=1.0f64), 1..40)) {
-        let geometry = geometry("medium", PointLayout::D4rl);
+        let geometry = geometry("medium", Layout::D4rl);
         let physics = Physics::new(geometry.clone(), 0.002);
         let mut ball = Body { position: geometry.place(geometry.map().start()), ..Body::default() };
         for (x, y) in controls {

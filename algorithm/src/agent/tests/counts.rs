@@ -5,7 +5,7 @@ use crate::agent::{Agent, AgentError, TrainStats};
 use crate::testing::{MENTOR_LEN, demonstration, plan};
 use proptest::prelude::*;
 use trestle_proto::NONE;
-use trestle_proto::batch::{Batch, BatchHeader, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::batch::{Batch, BatchHeader, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::mentor::MentorTransitions;
 
 const DQN: &str = "run.algo=dqn";
@@ -27,24 +27,25 @@ fn episodes_of_several_actors_are_kept_apart() {
     agent.ingest(&batch(0, &[(1.0, 0), (2.0, TERMINATED), (4.0, 0)]), None).unwrap();
     agent.ingest(&batch(1, &[(8.0, 0), (16.0, 0)]), None).unwrap();
     agent.ingest(&batch(0, &[(32.0, TRUNCATED)]), None).unwrap();
-    let ingested = agent.ingest(&batch(1, &[(64.0, TERMINATED | TRUNCATED)]), None).unwrap();
+    let ingested = agent.ingest(&batch(1, &[(64.0, TERMINATED | SUCCEEDED)]), None).unwrap();
     assert_eq!(ingested.consumed, 1);
     let last = ingested.finished[0];
     assert_eq!((last.actor, last.episode.total_reward, last.episode.length), (1, 88.0, 3));
-    assert!(last.episode.success);
+    assert_eq!(last.episode.success, Some(true));
     assert_eq!((last.counters.episodes, last.counters.env_steps, last.counters.grad_steps), (3, 7, 0));
     assert_eq!(agent.counters(), last.counters);
 }
 
 #[test]
 fn a_run_ends_exactly_at_its_limits() {
-    let steps = [(1.0, 0), (1.0, TRUNCATED), (1.0, TERMINATED), (1.0, 0)];
+    // The end by termination is a failure: the environment does not call it a success.
+    let steps = [(1.0, 0), (1.0, TERMINATED), (1.0, TERMINATED | SUCCEEDED), (1.0, 0)];
     let (mut by_episodes, _) = agent(&[DQN, "run.episodes=3"], 0);
     assert_eq!(by_episodes.ingest(&batch(0, &steps), None).unwrap().consumed, 4);
     assert!(!by_episodes.done());
     let last = by_episodes.ingest(&batch(0, &steps), None).unwrap();
     assert_eq!((last.consumed, last.finished.len()), (2, 1));
-    assert!(by_episodes.done() && !last.finished[0].episode.success);
+    assert!(by_episodes.done() && last.finished[0].episode.success == Some(false));
     assert_eq!(by_episodes.replay().len(), 6);
     assert_eq!(by_episodes.ingest(&batch(0, &steps), None).unwrap().consumed, 0);
 

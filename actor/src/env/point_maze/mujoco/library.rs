@@ -7,13 +7,13 @@
 use super::MujocoError;
 use super::api::{Api, Version};
 use super::simulation::Simulation;
-use crate::env::maze::Map;
+use crate::env::grid::Map;
+use crate::env::point_maze::Layout;
 use crate::env::point_maze::geometry::Geometry;
 use crate::env::point_maze::physics::{Body, Physics};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
-use trestle_proto::config::PointLayout;
 
 /// The variable that names the library.
 const VARIABLE: &str = "MUJOCO_LIB";
@@ -121,7 +121,7 @@ fn newest(directory: &Path) -> Option<PathBuf> {
 fn open(path: &Path) -> Result<Arc<Api>, MujocoError> {
     let api = Arc::new(Api::load(path)?);
     let map = Map::parse("probe", "S.G\n").map_err(|e| MujocoError::Model { message: e.to_string() })?;
-    let geometry = Geometry::new(map, PointLayout::Gymnasium);
+    let geometry = Geometry::new(map, Layout::Gymnasium);
     let found = Found { api, path: path.into(), passed_over: Vec::new() };
     let mut simulation = Simulation::new(&found, &geometry, 0.002)?;
     let physics = Physics::new(geometry, 0.002);

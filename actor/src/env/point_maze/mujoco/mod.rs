@@ -18,6 +18,7 @@ pub use simulation::Simulation;
 #[cfg(test)]
 mod tests;
 
+use crate::env::{EnvError, Finding};
 use std::path::PathBuf;
 
 /// MuJoCo that cannot be had, or does not do what it is asked for.
@@ -80,4 +81,34 @@ pub enum MujocoError {
         /// Its words.
         message: String,
     },
+}
+
+impl From<MujocoError> for EnvError {
+    fn from(error: MujocoError) -> Self {
+        Self::own(BackendError(error))
+    }
+}
+
+/// MuJoCo that cannot be had, as the setting that asks for it.
+#[derive(Debug, thiserror::Error)]
+#[error("env.backend: {0}")]
+struct BackendError(MujocoError);
+
+/// What a Point Maze would be computed by on this machine, and why.
+pub(super) fn diagnose() -> Vec<Finding> {
+    let finding = |sound, text: String| Finding { sound, text: format!("Point Maze: {text}") };
+    match find() {
+        Ok(found) => {
+            let passed_over =
+                found.passed_over().iter().map(|reason| finding(true, format!("passed over {reason}")));
+            let used = format!("MuJoCo {}, {}", found.version(), found.path().display());
+            passed_over.chain([finding(true, used)]).collect()
+        }
+        Err(error @ MujocoError::Missing { .. }) => {
+            vec![finding(true, format!("built-in physics, because {error}"))]
+        }
+        Err(error) => {
+            vec![finding(false, format!("MUJOCO_LIB names a library that cannot be used: {error}"))]
+        }
+    }
 }

@@ -59,13 +59,13 @@ pub(super) fn xml(geometry: &Geometry, margin: f64, version: Version) -> Result<
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::env::maze::{Map, generate};
-    use trestle_proto::config::PointLayout;
+    use crate::env::grid::{Map, generate};
+    use crate::env::point_maze::Layout;
     use trestle_proto::rng::{Purpose, stream};
 
     #[test]
     fn margins_add_up_to_the_same_in_every_version() {
-        let geometry = Geometry::new(Map::parse("m", "SG\n").unwrap(), PointLayout::D4rl);
+        let geometry = Geometry::new(Map::parse("m", "SG\n").unwrap(), Layout::D4rl);
         let old = xml(&geometry, 0.002, Version::decode(340)).unwrap();
         let new = xml(&geometry, 0.002, Version::decode(3_005_000)).unwrap();
         assert!(old.contains(r#"margin="0.002""#) && new.contains(r#"margin="0.001""#));
@@ -78,7 +78,7 @@ mod tests {
     #[test]
     fn too_many_walls_are_refused() {
         let map = generate(400, 400, &mut stream(1, Purpose::Map, 0));
-        let geometry = Geometry::new(map, PointLayout::D4rl);
+        let geometry = Geometry::new(map, Layout::D4rl);
         let refused = xml(&geometry, 0.002, Version::decode(340)).map(|text| text.len());
         assert!(matches!(refused, Err(MujocoError::Walls { most: MAX_WALLS, .. })), "{refused:?}");
     }

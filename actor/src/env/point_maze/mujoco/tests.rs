@@ -2,11 +2,11 @@
 #![allow(clippy::unwrap_used)]
 
 use super::{Found, MujocoError, Simulation, library};
-use crate::env::maze::Map;
+use crate::env::grid::Map;
+use crate::env::point_maze::Layout;
 use crate::env::point_maze::geometry::{Geometry, Vector};
 use crate::env::point_maze::physics::{Body, Physics};
 use rand::Rng;
-use trestle_proto::config::PointLayout;
 use trestle_proto::rng::{Purpose, Stream, stream};
 
 const MAPS: [&str; 3] = [
@@ -28,7 +28,7 @@ fn found() -> Option<&'static Found> {
 }
 
 fn geometries() -> Vec<Geometry> {
-    let layouts = [PointLayout::D4rl, PointLayout::Gymnasium];
+    let layouts = [Layout::D4rl, Layout::Gymnasium];
     let map = |text: &str| Map::parse("map", text).unwrap();
     MAPS.iter().flat_map(|text| layouts.map(|layout| Geometry::new(map(text), layout))).collect()
 }

@@ -1,8 +1,8 @@
 //! Compass directions and the action sets that are made of them.
 
-use crate::env::EnvError;
-use crate::env::point_maze::{DIAGONAL, ORTHOGONAL};
-use trestle_proto::config::{self, EnvKind};
+use super::GridError;
+use std::collections::BTreeMap;
+use trestle_proto::names;
 
 /// One of the eight directions of a map. North is up, towards row 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,14 +66,6 @@ pub const REGULAR: &[Direction] = &[Direction::N, Direction::E, Direction::S, Di
 /// the paper's best return on its 30 x 30 maze exactly.
 pub const IRREGULAR: &[Direction] = &[Direction::N, Direction::NE, Direction::S, Direction::SW];
 
-/// The sets that an environment has of its own.
-fn builtin(kind: EnvKind) -> &'static [(&'static str, &'static [Direction])] {
-    match kind {
-        EnvKind::Maze => &[("regular", REGULAR), ("irregular", IRREGULAR)],
-        EnvKind::PointMaze => &[("orthogonal", ORTHOGONAL), ("diagonal", DIAGONAL)],
-    }
-}
-
 /// A named list of directions; action `i` is the `i`-th of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActionSet {
@@ -96,47 +88,61 @@ impl ActionSet {
     }
 }
 
-/// The action set called `name`: a built-in one or one of `env.action_sets`, all of which are checked. `key` is
-/// the setting that holds the name.
-///
-/// # Errors
-/// No set of this name, or any set of the configuration that cannot be used.
-pub fn action_set(env: &config::Env, key: &'static str, name: &str) -> Result<ActionSet, EnvError> {
-    let mut found =
-        builtin(env.kind).iter().find(|(known, _)| *known == name).map(|(_, set)| ActionSet::new(name, set));
-    for (own, names) in &env.action_sets {
-        let set = defined(env.kind, own, names)?;
-        if own == name {
-            found = Some(set);
-        }
-    }
-    found.ok_or_else(|| {
-        let builtin = builtin(env.kind).iter().map(|(known, _)| *known);
-        let known: Vec<_> = builtin.chain(env.action_sets.keys().map(String::as_str)).collect();
-        EnvError::ActionSet { key, name: name.into(), known: known.join(", ") }
-    })
+/// The action sets that a configuration can name.
+#[derive(Clone, Copy, Debug)]
+pub struct ActionSets<'a> {
+    /// Those of the environment.
+    pub builtin: &'a [(&'static str, &'static [Direction])],
+    /// Those of `env.action_sets`: names of directions.
+    pub own: &'a BTreeMap<String, Vec<String>>,
 }
 
-/// The set that a configuration defines as `name`.
-fn defined(kind: EnvKind, name: &str, names: &[String]) -> Result<ActionSet, EnvError> {
-    let refuse = |message: String| Err(EnvError::ActionSetDefinition { name: name.into(), message });
-    if builtin(kind).iter().any(|(known, _)| *known == name) {
-        return refuse("this set is built in; accepted: another name".into());
-    }
-    if !(2..=Direction::ALL.len()).contains(&names.len()) {
-        return refuse(format!("{} directions; accepted: 2 to 8", names.len()));
-    }
-    let mut directions = Vec::with_capacity(names.len());
-    for text in names {
-        match Direction::ALL.into_iter().find(|d| d.name() == text) {
-            None => return refuse(format!("`{text}`; accepted: N, NE, E, SE, S, SW, W, NW")),
-            Some(d) if directions.contains(&d) => {
-                return refuse(format!("`{text}` is given twice; accepted: each direction once"));
+impl ActionSets<'_> {
+    /// The action set called `name`. All sets of the configuration are checked. `key` is the setting that holds the name.
+    ///
+    /// # Errors
+    /// No set of this name, or any set of the configuration that cannot be used.
+    pub fn find(&self, key: &'static str, name: &str) -> Result<ActionSet, GridError> {
+        let mut found = self
+            .builtin
+            .iter()
+            .find(|(known, _)| *known == name)
+            .map(|(_, directions)| ActionSet::new(name, directions));
+        for (own, names) in self.own {
+            let set = self.defined(own, names)?;
+            if own == name {
+                found = Some(set);
             }
-            Some(d) => directions.push(d),
         }
+        found.ok_or_else(|| {
+            let builtin = self.builtin.iter().map(|(known, _)| *known);
+            let known: Vec<_> = builtin.chain(self.own.keys().map(String::as_str)).collect();
+            let hint = names::hint(name, known.iter().copied());
+            GridError::ActionSet { key, name: name.into(), known: known.join(", "), hint }
+        })
     }
-    Ok(ActionSet { name: name.into(), directions })
+
+    /// The set that the configuration defines as `name`.
+    fn defined(&self, name: &str, names: &[String]) -> Result<ActionSet, GridError> {
+        let refuse = |message: String| Err(GridError::ActionSetDefinition { name: name.into(), message });
+        if self.builtin.iter().any(|(known, _)| *known == name) {
+            return refuse("this set is built in; accepted: another name".into());
+        }
+        if !(2..=Direction::ALL.len()).contains(&names.len()) {
+            return refuse(format!("{} directions; accepted: 2 to 8", names.len()));
+        }
+        let mut directions = Vec::with_capacity(names.len());
+        for text in names {
+            match Direction::ALL.into_iter().find(|d| d.name() == text) {
+                None => return refuse(format!("`{text}`; accepted: N, NE, E, SE, S, SW, W, NW")),
+                Some(d) if directions.contains(&d) => {
+                    return refuse(format!("`{text}` is given twice; accepted: each direction once"));
+                }
+                Some(d) => directions.push(d),
+            }
+        }
+        Ok(ActionSet { name: name.into(), directions })
+    }
 }
 
 #[cfg(test)]
@@ -144,28 +150,31 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    fn env(sets: &[(&str, &[&str])]) -> config::Env {
+    const BUILTIN: &[(&str, &[Direction])] = &[("regular", REGULAR), ("irregular", IRREGULAR)];
+
+    fn find(sets: &[(&str, &[&str])], key: &'static str, name: &str) -> Result<ActionSet, String> {
         let own = |(name, names): &(&str, &[&str])| {
             ((*name).to_string(), names.iter().map(ToString::to_string).collect())
         };
-        config::Env { action_sets: sets.iter().map(own).collect(), ..config::Env::default() }
+        let own = sets.iter().map(own).collect();
+        ActionSets { builtin: BUILTIN, own: &own }.find(key, name).map_err(|error| error.to_string())
     }
 
     #[test]
     fn built_in_and_custom_sets_are_found() {
-        let env = env(&[("knight", &["SE", "NW"])]);
-        assert_eq!(action_set(&env, "env.actions", "regular").unwrap().describe(), "N, E, S, W");
-        assert_eq!(action_set(&env, "env.actions", "irregular").unwrap().describe(), "N, NE, S, SW");
-        assert_eq!(action_set(&env, "env.actions", "knight").unwrap().describe(), "SE, NW");
-        let message = action_set(&env, "mentor.actions", "king").unwrap_err().to_string();
-        assert_eq!(message, "mentor.actions = king; action sets: regular, irregular, knight");
+        let described = |name| find(&[("knight", &["SE", "NW"])], "env.actions", name).unwrap().describe();
+        assert_eq!(described("regular"), "N, E, S, W");
+        assert_eq!(described("irregular"), "N, NE, S, SW");
+        assert_eq!(described("knight"), "SE, NW");
+        let refused = |name| find(&[("knight", &["SE", "NW"])], "mentor.actions", name).unwrap_err();
+        assert_eq!(refused("king"), "mentor.actions = king; action sets: regular, irregular, knight");
+        assert!(refused("irregullar").ends_with("irregular, knight; did you mean `irregular`?"));
     }
 
     #[test]
     fn unusable_sets_are_refused_even_when_unused() {
-        let refused = |name: &str, names: &[&str]| {
-            action_set(&env(&[(name, names)]), "env.actions", "regular").unwrap_err().to_string()
-        };
+        let refused =
+            |name: &str, names: &[&str]| find(&[(name, names)], "env.actions", "regular").unwrap_err();
         assert!(refused("regular", &["N", "S"]).contains("built in"));
         assert!(refused("mine", &["N"]).contains("1 directions; accepted: 2 to 8"));
         assert!(refused("mine", &["N", "n"]).contains("`n`; accepted: N, NE"));

@@ -95,11 +95,11 @@ pub struct Map {
 }
 
 /// A cell's place in the bordered map; see [`Map::index`].
-pub(super) type Index = usize;
+pub(in crate::env) type Index = usize;
 
 /// A direction on one map's bordered cells: where it leads, and which two cells it passes between.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Move {
+pub(in crate::env) struct Move {
     target: isize,
     sides: [isize; 2],
 }
@@ -167,7 +167,7 @@ impl Map {
     }
 
     /// A map without walls but its border, the start at the top left and the goal at the bottom right.
-    pub(super) fn open(columns: usize, rows: usize) -> Self {
+    pub(in crate::env) fn open(columns: usize, rows: usize) -> Self {
         let mut map = Self { goal: [columns - 1, rows - 1], ..Self::enclosed(columns, rows) };
         for row in 0..rows {
             for column in 0..columns {
@@ -214,28 +214,28 @@ impl Map {
     }
 
     /// Whether `cell`, inside the map and neither start nor goal, is a wall from now on.
-    pub(super) fn set_wall(&mut self, cell: Cell, wall: bool) {
+    pub(in crate::env) fn set_wall(&mut self, cell: Cell, wall: bool) {
         let index = self.index(cell);
         self.walls[index] = wall;
     }
 
     /// Number of cells with the border: what an index is below.
-    pub(super) fn indices(&self) -> usize {
+    pub(in crate::env) fn indices(&self) -> usize {
         self.walls.len()
     }
 
     /// Place of `cell`, inside the map, in the bordered map.
-    pub(super) fn index(&self, cell: Cell) -> Index {
+    pub(in crate::env) fn index(&self, cell: Cell) -> Index {
         (cell[1] + 1) * (self.columns + 2) + cell[0] + 1
     }
 
     /// The cell at `index`, which must not be in the border.
-    pub(super) fn cell(&self, index: Index) -> Cell {
+    pub(in crate::env) fn cell(&self, index: Index) -> Cell {
         [index % (self.columns + 2) - 1, index / (self.columns + 2) - 1]
     }
 
     /// `directions` as moves on this map.
-    pub(super) fn moves(&self, directions: &[Direction]) -> Vec<Move> {
+    pub(in crate::env) fn moves(&self, directions: &[Direction]) -> Vec<Move> {
         let width = self.columns as isize + 2;
         let of = |direction: &Direction| {
             let (column, row) = direction.delta();
@@ -251,7 +251,7 @@ impl Map {
     /// Where `step` leads from `index`, a free cell; `None` if it is blocked: by a wall or the edge of the map, or,
     /// diagonally, because both cells that it passes between are blocked.
     #[inline]
-    pub(super) fn advance(&self, index: Index, step: Move) -> Option<Index> {
+    pub(in crate::env) fn advance(&self, index: Index, step: Move) -> Option<Index> {
         let target = index.wrapping_add_signed(step.target);
         let [a, b] = step.sides.map(|side| self.walls[index.wrapping_add_signed(side)]);
         if self.walls[target] | (a & b) { None } else { Some(target) }

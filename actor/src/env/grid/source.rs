@@ -1,12 +1,12 @@
 //! Where a map comes from: compiled in, a file, or the generator.
 
+use super::GridError;
 use super::generate::{MIN_SIDE, generate};
 use super::map::{Map, MapError, MapFault};
-use crate::env::EnvError;
 use std::fs;
 use std::path::Path;
-use trestle_proto::config;
 use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
+use trestle_proto::names;
 use trestle_proto::rng::{Purpose, stream};
 
 /// The maps that are compiled in: name and text. `maze30` is the paper's; `maze-small` is ours, with shortest paths of
@@ -20,33 +20,45 @@ const BUILTIN: [(&str, &str); 5] = [
 ];
 
 /// Names of the compiled-in maps, for people.
-pub(in crate::env) fn builtin_names() -> String {
+pub(super) fn builtin_names() -> String {
     BUILTIN.map(|(name, _)| name).join(", ")
 }
 
-/// Reads or generates the map that `env.map` names and writes its text to `env.layout`; see
-/// [`crate::env::resolve`].
-///
-/// A layout that is already there, because the configuration was resolved before, is checked against the map: a
-/// built-in or random map, or a file that still exists, must be the same. Where the file is gone the layout stands.
+/// What `env.map` accepts.
+pub const ACCEPTED: &str =
+    "maze30, maze-small, umaze, medium, large, a file, or `random:<seed>:<columns>x<rows>`";
+
+/// The map of resolved settings: that of `text`, which `name` names.
 ///
 /// # Errors
-/// An unknown name, an unreadable file, a text that is no map, or a layout that is another map.
-pub fn resolve(env: &mut config::Env, seed: u64) -> Result<(), EnvError> {
-    if let Some(text) = &env.layout {
-        let given = Map::parse("env.layout", text)?;
-        let gone = generated(&env.map, seed)?.is_none() && !Path::new(&env.map).exists();
-        if !gone && load(&env.map, seed)? != given {
-            return Err(EnvError::Layout { name: env.map.clone() });
+/// There is no text, or it is no map.
+pub fn map_of(name: &str, text: Option<&str>) -> Result<Map, GridError> {
+    Ok(Map::parse(name, text.ok_or(GridError::Unresolved)?)?)
+}
+
+/// Reads or generates the map called `name` and writes its text to `text`. `seed` is the run's seed, for maps that are random
+/// by it.
+///
+/// A text that is already there, because the settings were resolved before, is checked against the map: a built-in or random
+/// map, or a file that still exists, must be the same. Where the file is gone the text stands.
+///
+/// # Errors
+/// An unknown name, an unreadable file, a text that is no map, or a text that is another map.
+pub fn resolve(name: &str, text: &mut Option<String>, seed: u64) -> Result<(), GridError> {
+    if let Some(text) = text {
+        let given = Map::parse("env.map_text", text)?;
+        let gone = generated(name, seed)?.is_none() && !Path::new(name).exists();
+        if !gone && load(name, seed)? != given {
+            return Err(GridError::Text { name: name.into() });
         }
         return Ok(());
     }
-    env.layout = Some(load(&env.map, seed)?.to_string());
+    *text = Some(load(name, seed)?.to_string());
     Ok(())
 }
 
 /// The map called `name`.
-fn load(name: &str, seed: u64) -> Result<Map, EnvError> {
+fn load(name: &str, seed: u64) -> Result<Map, GridError> {
     match generated(name, seed)? {
         Some(map) => Ok(map),
         None => Ok(Map::parse(name, &read(name)?)?),
@@ -54,13 +66,13 @@ fn load(name: &str, seed: u64) -> Result<Map, EnvError> {
 }
 
 /// The map called `name` if it is compiled in or random.
-fn generated(name: &str, seed: u64) -> Result<Option<Map>, EnvError> {
+fn generated(name: &str, seed: u64) -> Result<Option<Map>, GridError> {
     if let Some((_, text)) = BUILTIN.iter().find(|(known, _)| *known == name) {
         return Ok(Some(Map::parse(name, text)?));
     }
     let Some(description) = name.strip_prefix("random:") else { return Ok(None) };
     let (seed, columns, rows) =
-        random(description, seed).ok_or_else(|| EnvError::RandomMap { name: name.into() })?;
+        random(description, seed).ok_or_else(|| GridError::RandomMap { name: name.into() })?;
     Ok(Some(generate(columns, rows, &mut stream(seed, Purpose::Map, 0))))
 }
 
@@ -74,18 +86,21 @@ fn random(description: &str, run_seed: u64) -> Option<(u64, usize, usize)> {
 }
 
 /// The text of the map file `name`.
-fn read(name: &str) -> Result<String, EnvError> {
+fn read(name: &str) -> Result<String, GridError> {
     let path = Path::new(name);
-    let fault = |message: String| EnvError::ReadMap { path: path.into(), message };
+    let fault = |message: String| GridError::ReadMap { path: path.into(), message };
     let meta = fs::metadata(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => EnvError::UnknownMap { name: name.into() },
+        std::io::ErrorKind::NotFound => {
+            let hint = names::hint(name, BUILTIN.map(|(known, _)| known));
+            GridError::UnknownMap { name: name.into(), hint }
+        }
         _ => fault(e.to_string()),
     })?;
     if !meta.is_file() {
         return Err(fault("not a file; accepted: a text file".into()));
     }
     if meta.len() > MAX_TEXT_BYTES {
-        return Err(EnvError::MapBytes { path: path.into(), bytes: meta.len() });
+        return Err(GridError::MapBytes { path: path.into(), bytes: meta.len() });
     }
     let bytes = fs::read(path).map_err(|e| fault(e.to_string()))?;
     String::from_utf8(bytes).map_err(|e| not_text(name, &e).into())
@@ -104,12 +119,14 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    fn env(map: &str) -> config::Env {
-        config::Env { map: map.into(), ..config::Env::default() }
+    fn refused(map: &str) -> String {
+        resolve(map, &mut None, 0).unwrap_err().to_string()
     }
 
-    fn refused(map: &str) -> String {
-        resolve(&mut env(map), 0).unwrap_err().to_string()
+    #[test]
+    fn all_built_in_maps_are_named_as_accepted() {
+        assert!(ACCEPTED.starts_with(&builtin_names()));
+        assert!(refused("maze-smal").ends_with("did you mean `maze-small`?"));
     }
 
     #[test]
@@ -118,9 +135,9 @@ mod tests {
         let path = dir.path().join("mine.txt");
         fs::write(&path, "S.\r\n.G").unwrap();
         let layout = |map: &str, seed| {
-            let mut env = env(map);
-            resolve(&mut env, seed).unwrap();
-            env.layout.unwrap()
+            let mut text = None;
+            resolve(map, &mut text, seed).unwrap();
+            text.unwrap()
         };
         assert_eq!(layout("maze30", 0), BUILTIN[0].1);
         assert_eq!(layout("maze-small", 0), BUILTIN[1].1);
@@ -160,25 +177,17 @@ mod tests {
     }
 
     #[test]
-    fn a_layout_must_agree_with_its_map() {
-        let mut again = env("maze-small");
-        resolve(&mut again, 0).unwrap();
-        let first = again.clone();
-        resolve(&mut again, 0).unwrap();
-        assert_eq!(again, first);
-        let mut other = config::Env { map: "maze30".into(), ..first.clone() };
-        assert!(
-            resolve(&mut other, 0)
-                .unwrap_err()
-                .to_string()
-                .contains("not the map that env.map = maze30 names")
-        );
-        let mut gone = config::Env { map: "gone.txt".into(), ..first.clone() };
-        resolve(&mut gone, 0).unwrap();
-        assert_eq!(gone.layout, first.layout);
-        gone.layout = Some("S.".into());
-        assert!(
-            resolve(&mut gone, 0).unwrap_err().to_string().starts_with("map env.layout, line 1, column 2")
-        );
+    fn a_text_must_agree_with_its_map() {
+        let mut text = None;
+        resolve("maze-small", &mut text, 0).unwrap();
+        let first = text.clone();
+        resolve("maze-small", &mut text, 0).unwrap();
+        assert_eq!(text, first);
+        let other = resolve("maze30", &mut text, 0).unwrap_err().to_string();
+        assert!(other.contains("not the map that env.map = maze30 names"), "{other}");
+        resolve("gone.txt", &mut text, 0).unwrap();
+        assert_eq!(text, first);
+        let broken = resolve("gone.txt", &mut Some("S.".into()), 0).unwrap_err().to_string();
+        assert!(broken.starts_with("map env.map_text, line 1, column 2"), "{broken}");
     }
 }

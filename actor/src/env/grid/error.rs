@@ -1,0 +1,95 @@
+//! What can be wrong with a map or an action set that a configuration names.
+
+use super::map::MapError;
+use super::source::builtin_names;
+use crate::env::EnvError;
+use std::path::PathBuf;
+use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
+
+/// A map or an action set that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum GridError {
+    /// The map's text is not a map, or its goal cannot be reached.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// Neither a built-in map nor a file.
+    #[error(
+        "env.map = {name}; accepted: {builtin}, an existing file, or random:<seed>:<columns>x<rows>{hint}",
+        builtin = builtin_names()
+    )]
+    UnknownMap {
+        /// What was asked for.
+        name: String,
+        /// The nearest built-in map, if one is near.
+        hint: String,
+    },
+    /// A map file that cannot be read.
+    #[error("env.map = {path}: {message}")]
+    ReadMap {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        message: String,
+    },
+    /// A map file that is too large to be one.
+    #[error("env.map = {path}: {bytes} bytes; accepted: up to {MAX_TEXT_BYTES}")]
+    MapBytes {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+    /// A description of a random map that is none.
+    #[error(
+        "env.map = {name}; accepted: random:<seed>:<columns>x<rows> with a whole number or `run` as the seed and \
+         4 to {MAX_MAP_SIDE} columns and rows"
+    )]
+    RandomMap {
+        /// What was asked for.
+        name: String,
+    },
+    /// `env.map_text` is given and is not the map that `env.map` names.
+    #[error(
+        "env.map_text is given and is not the map that env.map = {name} names; leave one of the two out, or make \
+         them agree"
+    )]
+    Text {
+        /// Name of the map.
+        name: String,
+    },
+    /// The configuration has not been resolved.
+    #[error("the configuration is not resolved: env.map_text is missing")]
+    Unresolved,
+    /// An action set that nobody has defined.
+    #[error("{key} = {name}; action sets: {known}{hint}")]
+    ActionSet {
+        /// The setting that names it.
+        key: &'static str,
+        /// The name.
+        name: String,
+        /// Those that exist.
+        known: String,
+        /// The nearest of them, if one is near.
+        hint: String,
+    },
+    /// An action set of the configuration that cannot be used.
+    #[error("env.action_sets.{name}: {message}")]
+    ActionSetDefinition {
+        /// Name of the set.
+        name: String,
+        /// What is wrong, and what is accepted.
+        message: String,
+    },
+}
+
+impl From<GridError> for EnvError {
+    fn from(error: GridError) -> Self {
+        Self::own(error)
+    }
+}
+
+impl From<MapError> for EnvError {
+    fn from(error: MapError) -> Self {
+        Self::own(error)
+    }
+}

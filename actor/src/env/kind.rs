@@ -1,0 +1,97 @@
+//! What makes a type an environment that a configuration can choose: its settings, and what it offers besides steps.
+
+use super::{EnvError, Environment, Ground};
+use trestle_proto::config::{self, Config, ConfigError, Field, Preset, Table};
+
+/// An environment that a configuration can choose by a name. [`Registry::with`](super::Registry::with) gives it one.
+///
+/// Only the settings and [`Kind::new`] are needed. All else has a default: no preset, no planned mentor, no picture.
+#[allow(unused_variables, reason = "the defaults need none of their arguments")]
+pub trait Kind: Environment + Sized + 'static {
+    /// Its table `[env.<name>]`: [`trestle_proto::settings!`] declares one.
+    type Settings: Field + Default;
+
+    /// What it is, in one line.
+    const ABOUT: &'static str;
+
+    /// The environment of resolved settings, not yet reset. `env` has what all environments share.
+    ///
+    /// # Errors
+    /// Whatever the settings ask for and the environment does not accept.
+    fn new(settings: &Self::Settings, env: &config::Env) -> Result<Self, EnvError>;
+
+    /// Completes `settings` with what a run must not depend on later: the contents of files, and what is found on this
+    /// machine. `seed` is the run's, for what is random by it. To resolve them again changes nothing.
+    ///
+    /// # Errors
+    /// What cannot be found or used.
+    fn resolve(settings: &mut Self::Settings, env: &config::Env, seed: u64) -> Result<(), EnvError> {
+        Ok(())
+    }
+
+    /// Takes over into `typed`, which somebody types again to go on with a run, what [`Kind::resolve`] put into the run's
+    /// own settings.
+    fn adopt(typed: &mut Self::Settings, own: &Self::Settings) {}
+
+    /// Checks `settings` together with those of all other tables.
+    ///
+    /// # Errors
+    /// A combination that makes no sense, with what is accepted.
+    fn check(settings: &Self::Settings, config: &Config) -> Result<(), ConfigError> {
+        Ok(())
+    }
+
+    /// The presets that come with it.
+    fn presets() -> &'static [Preset] {
+        &[]
+    }
+
+    /// States of a planned mentor that acts with the action set `actions`, from a start to the goal, `[obs_dim]` features
+    /// each; the last one is terminal. None where the environment has no planner.
+    ///
+    /// # Errors
+    /// An action set that there is not, or a goal that is not reached.
+    fn plan(
+        settings: &Self::Settings,
+        env: &config::Env,
+        actions: &str,
+    ) -> Result<Option<Vec<Vec<f32>>>, EnvError> {
+        Ok(None)
+    }
+
+    /// The environment as text for a terminal, with paths of states and the mark of each laid over it; where two meet, the
+    /// later one is seen. None where there is nothing to draw.
+    ///
+    /// # Errors
+    /// Settings that give no environment.
+    fn draw(settings: &Self::Settings, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError> {
+        Ok(None)
+    }
+
+    /// The map on which reports draw the environment's states; none where there is no map.
+    ///
+    /// # Errors
+    /// Settings that give no environment.
+    fn ground(settings: &Self::Settings) -> Result<Option<Box<dyn Ground>>, EnvError> {
+        Ok(None)
+    }
+
+    /// What computes it, for a run's `build.json`; none where that is Trestle itself.
+    fn engine(settings: &Self::Settings) -> Option<Table> {
+        None
+    }
+
+    /// What `trestle doctor` says about the environment's needs on this machine.
+    fn diagnose() -> Vec<Finding> {
+        Vec::new()
+    }
+}
+
+/// A line of `trestle doctor`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// Whether it needs no attention.
+    pub sound: bool,
+    /// What was found.
+    pub text: String,
+}

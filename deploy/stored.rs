@@ -1,0 +1,36 @@
+//! Runs as other versions of the program have left them, for the commands that only look at them.
+
+use anyhow::{Context, Result};
+use std::fs;
+use trestle_actor::env::registry;
+use trestle_proto::codec::CodecError;
+use trestle_proto::config;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rundir::{RunDir, RunDirError};
+
+/// The plan of the run in `dir`. Where another version of the program wrote it, its configuration stands in, without the mentor,
+/// which no greedy episode needs.
+///
+/// # Errors
+/// There is no run, or neither its plan nor its configuration can be read.
+pub(crate) fn read_plan(dir: &RunDir) -> Result<RunPlan> {
+    match dir.read_plan() {
+        Err(RunDirError::Plan { source: CodecError::Kind { .. }, .. }) => {}
+        plan => return Ok(plan?),
+    }
+    let path = dir.config();
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut config = config::parse_toml(&path.display().to_string(), &text)?;
+    (config.exploration.guide_start, config.exploration.guide_end) = (0.0, 0.0);
+    let spec = registry().build(&config.env)?.spec().clone();
+    Ok(RunPlan {
+        run: 0,
+        config,
+        spec,
+        mentors: Vec::new(),
+        waypoints: None,
+        resume_tick: None,
+        restarts: 0,
+        generation: 0,
+    })
+}

@@ -1,0 +1,46 @@
+//! Configurations as version 0.1.0 wrote them: `[env]` had the settings of all environments side by side, and `kind` chose one.
+
+use toml::{Table, Value};
+
+/// Settings of an environment whose name has changed.
+const RENAMED: [(&str, &str); 1] = [("layout", "map_text")];
+/// Settings that all environments share, then as now.
+const SHARED: [&str; 3] = ["step_limit", "encoding", "hazard"];
+
+/// Settings that are gone, by table.
+const REMOVED: [(&str, &str); 1] = [("supervise", "one_cpu")];
+
+/// Gives `config` today's form if it has the former one.
+pub(super) fn translate(config: &mut Table) {
+    // Only what is written in the former form has them.
+    if !config.get("env").is_some_and(|env| env.get("kind").is_some()) {
+        return;
+    }
+    for (table, key) in REMOVED {
+        config.get_mut(table).and_then(Value::as_table_mut).map(|table| table.remove(key));
+    }
+    let Some(Value::Table(env)) = config.get_mut("env") else { return };
+    // Then the default of `kind` was `maze`. An unresolved file without it reads the same in either form.
+    let Some(Value::String(kind)) = env.remove("kind") else { return };
+    // An environment's table had its name with underscores; where it had one, it wins over `[env]`.
+    let table = kind.replace('-', "_");
+    let mut own = Table::new();
+    let keys: Vec<String> = env.keys().filter(|key| !SHARED.contains(&key.as_str())).cloned().collect();
+    let mut inner = Table::new();
+    for key in keys {
+        match env.remove(&key) {
+            Some(Value::Table(values)) if key == table => inner = values,
+            // The table of an environment that was not chosen.
+            Some(Value::Table(_)) if key != "action_sets" => {}
+            Some(value) => {
+                let name =
+                    RENAMED.iter().find(|(former, _)| *former == key).map_or(key.as_str(), |(_, now)| now);
+                own.insert(name.into(), value);
+            }
+            None => {}
+        }
+    }
+    own.extend(inner);
+    env.insert("name".into(), Value::String(kind.clone()));
+    env.insert(kind, Value::Table(own));
+}
