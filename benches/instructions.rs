@@ -66,6 +66,7 @@ fn ticks(times: u64) -> Result<()> {
     demonstration.push_trajectory(&states.concat(), true)?;
     let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
     let plan = RunPlan {
+        history: 0,
         run: 1,
         config,
         spec,

@@ -6,7 +6,7 @@
 
 use crate::prepare::Prepared;
 use crate::supervise::display::Display;
-use crate::supervise::{Ended, HeldSignals};
+use crate::supervise::{Ended, HeldSignals, asking};
 use anyhow::{Context, Result, ensure};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +24,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let (plan, dir) = (prepared.plan(), prepared.dir());
     ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep, free");
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    for signal in asking() {
         signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
     }
     drop(held);

@@ -131,6 +131,7 @@ fn worker() -> Worker {
     let spec = env.spec().clone();
     Worker::new(
         &RunPlan {
+            history: 0,
             run: 7,
             config,
             spec,

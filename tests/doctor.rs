@@ -1,18 +1,14 @@
 //! `trestle doctor`: what dead runs have left is found and removed; what living ones need is not.
 
-use crate::util::{Place, evaluations, start, trestle};
+use crate::util::{Place, available, evaluations, start, start_under, trestle};
 use nix::sys::signal::Signal;
 use std::fs;
 use trestle_link::iceoryx::Domain;
 
-/// A process id that no process has: the largest that Linux gives out is 2^22 - 1.
-const NOBODY: u32 = 1 << 22;
-
 /// What a run leaves whose processes were all killed at once.
 fn leftovers(run: u64) -> Domain {
-    let domain = Domain::create(run).unwrap();
-    fs::write(domain.root().join("owner"), format!("{NOBODY} 1\n")).unwrap();
-    fs::create_dir(domain.root().join("nodes")).unwrap();
+    let domain = Domain::of(run);
+    fs::create_dir_all(domain.root().join("nodes")).unwrap();
     fs::write(format!("/dev/shm/{}left-behind", domain.prefix()), [0; 4096]).unwrap();
     domain
 }
@@ -67,9 +63,54 @@ fn a_run_that_was_killed_as_a_whole() {
     run.wait_for("an evaluation", || evaluations(&dir) > 0);
     let domain = crate::util::domain(&dir);
     crate::util::kill_all(run, &dir);
-    assert!(!domain.shared_memory().unwrap().is_empty() && !domain.is_alive());
+    assert!(!domain.shared_memory().unwrap().is_empty() && domain.is_dead());
     let name = format!("{:08x}", domain.run());
     assert!(trestle(&["doctor"]).refused(&[]).stdout.contains(&name));
     assert!(trestle(&["doctor", "--fix"]).stdout.contains(&name));
     crate::util::assert_gone(&dir);
+}
+
+/// In another container that shares nothing with the run's but shared memory: other processes, another `/tmp`.
+#[test]
+fn a_living_run_is_alive_from_wherever_its_shared_memory_is_seen() {
+    let place = Place::alone();
+    let setup = "mount -t tmpfs tmpfs /tmp";
+    let container = ["unshare", "--mount", "--pid", "--fork", "--mount-proc", "sh", "-c"];
+    if !available(&[&container[..], &[setup]].concat()) {
+        return;
+    }
+    let endless = ["maze-small", "--env-steps", "1000000000", "--episodes", "1000000000"];
+    let mut run = start(&place.training("run", &endless));
+    let dir = place.run("run");
+    run.wait_for("an evaluation", || evaluations(&dir) > 0);
+    let needed = crate::util::domain(&dir).shared_memory().unwrap();
+    let script = format!("{setup} && exec \"$@\"");
+    for args in [&["doctor"][..], &["doctor", "--fix"]] {
+        let outcome = start_under(&[&container[..], &[&script, "sh"]].concat(), args).finish();
+        assert!(outcome.stdout.contains("runs in progress: 1"), "{outcome:?}");
+        let name = format!("{:08x}", dir.read_plan().unwrap().run);
+        assert!(!outcome.stdout.contains(&name), "{outcome:?}");
+    }
+    assert_eq!(crate::util::domain(&dir).shared_memory().unwrap(), needed);
+    let rows = evaluations(&dir);
+    run.wait_for("the run to go on", || evaluations(&dir) > rows);
+    run.signal(Signal::SIGINT);
+    run.finish().code(130);
+}
+
+/// Files without a root and its lock: of a run of another version, perhaps.
+#[test]
+fn what_cannot_be_judged_is_left_alone_and_said_so() {
+    let _place = Place::alone();
+    let domain = Domain::of(0xdead_0000 + u64::from(std::process::id() & 0xffff));
+    let file = format!("/dev/shm/{}of-another-version", domain.prefix());
+    fs::write(&file, [0; 2048]).unwrap();
+    for args in [&["doctor"][..], &["doctor", "--fix"]] {
+        let outcome = trestle(args);
+        let name = format!("{:08x}", domain.run());
+        let line = outcome.stdout.lines().find(|line| line.contains(&name)).unwrap();
+        assert!(line.starts_with("ok") && line.contains("left alone"), "{line}");
+        assert!(line.contains("1 files, 2 KiB") && line.contains(&domain.prefix()), "{line}");
+    }
+    fs::remove_file(&file).unwrap();
 }

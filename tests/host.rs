@@ -126,3 +126,18 @@ fn a_full_disk_ends_a_run_and_spares_its_checkpoints() {
     let last = outcome.stderr.lines().last().unwrap();
     assert_eq!(last.matches("No space left").count(), 1, "said once: {last}");
 }
+
+/// A run needs nothing of `/tmp`.
+#[test]
+fn tmp_may_be_read_only() {
+    let place = Place::new();
+    let root = place.root().display();
+    let setup = format!(
+        "mount --bind /tmp /tmp && mkdir -p {root} && mount --bind {root} {root} && mount -o remount,bind,ro /tmp \
+         && ! touch /tmp/trestle-test 2>/dev/null"
+    );
+    if let Some(outcome) = trained_after(&place, &setup, &[]) {
+        outcome.ok();
+        assert_eq!(Trace::of(&place.run("run")).result.env_steps, 3000);
+    }
+}

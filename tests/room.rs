@@ -4,11 +4,9 @@
 use crate::util::{Place, available};
 use nix::mount::{MsFlags, mount};
 use nix::sched::{CloneFlags, unshare};
-use std::fs::{self, DirBuilder, File};
+use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use trestle_link::iceoryx::Domain;
 
 /// Where shared memory lies.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
@@ -22,13 +20,8 @@ pub(crate) fn can_have_own() -> bool {
     available(&["unshare", "--mount", "sh", "-c", "mount -t tmpfs tmpfs /dev/shm"])
 }
 
-/// The directory that holds what runs share beside shared memory.
-pub(crate) fn domains() -> PathBuf {
-    Domain::of(0).root().parent().unwrap().into()
-}
-
 /// Gives this thread, and every process that it starts from now on, a shared memory of its own and a disk of its own, which
-/// holds `place` and [`domains`]. They go with the thread and these processes.
+/// holds `place`. They go with the thread and these processes.
 pub(crate) fn have_own(place: &Place) {
     let none = None::<&str>;
     let own = |target: &Path| {
@@ -39,12 +32,6 @@ pub(crate) fn have_own(place: &Place) {
     mount(none, "/", none, MsFlags::MS_REC | MsFlags::MS_PRIVATE, none).unwrap();
     own(Path::new(SHARED_MEMORY));
     own(place.root());
-    let (shared, domains) = (place.root().join("shared"), domains());
-    for dir in [&shared, &domains] {
-        // It may be there already: then it has that mode.
-        DirBuilder::new().recursive(true).mode(0o700).create(dir).unwrap();
-    }
-    mount(Some(&shared), &domains, none, MsFlags::MS_BIND, none).unwrap();
 }
 
 /// Somebody who takes all the room of a file system, and gives it back when he goes.

@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 use trestle_learner::checkpoint;
-use trestle_link::iceoryx::Domain;
 use trestle_proto::config::Mode;
+use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::mix;
 use trestle_proto::rundir::RunDir;
 
@@ -234,8 +234,8 @@ fn play_at(
         let trace = run.finish(&mut summary);
         if own {
             // There is nobody else.
-            let left = [Path::new(SHARED_MEMORY), &room::domains()].map(|dir| fs::read_dir(dir).unwrap());
-            let left: Vec<_> = left.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
+            let left = fs::read_dir(SHARED_MEMORY).unwrap();
+            let left: Vec<_> = left.map(|entry| entry.unwrap().path()).collect();
             assert_eq!(left, [] as [PathBuf; 0], "seed {seed}, run {number}:{said}");
         }
         let hash = trace.weights_sha256[..16].to_string();
@@ -429,21 +429,19 @@ impl<'a> Run<'a> {
         }
         assert!(wait_until(LIMIT, || processes(self.dir.root()).is_empty()));
         let plan = self.dir.read_plan().ok();
-        if let Some(plan) = &plan {
-            // A supervisor that died before it had children has nobody who removes what it shared.
-            let domain = Domain::of(plan.run);
-            if !wait_until(LIMIT / 60, || !domain.root().exists()) {
-                domain.remove().unwrap();
-            }
-        }
         if self.dir.result().exists() {
             // It had finished, and only not said so yet.
             return;
         }
-        let resumable = plan.and_then(|plan| checkpoint::newest_resumable(self.dir.root(), &plan).unwrap());
-        let more: &[&str] = if resumable.is_some() { &["--resume"] } else { &[] };
+        // Whatever the dead have left in shared memory goes with the next start.
+        let resumable = |plan: &RunPlan| checkpoint::newest_resumable(self.dir.root(), plan).unwrap();
+        let more: &[&str] = match &plan {
+            Some(plan) if resumable(plan).is_some() => &["--resume"],
+            Some(_) => &["--overwrite"],
+            None => &[],
+        };
         if more.is_empty() && self.dir.root().exists() {
-            // Nothing to go on from, and perhaps not even a run.
+            // Not even a run.
             fs::remove_dir_all(self.dir.root()).unwrap();
         }
         self.process = Some(start(&self.place.training(&self.name, &[&self.args, more].concat())));

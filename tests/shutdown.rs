@@ -25,7 +25,8 @@ fn under_way(place: &Place) -> (Process, RunDir) {
 #[test]
 fn a_signal_saves_and_leaves() {
     let place = Place::new();
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+    let warnings = [Signal::SIGUSR1, Signal::SIGUSR2, Signal::SIGXCPU, Signal::SIGXFSZ];
+    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().chain(warnings) {
         let (run, dir) = under_way(&place);
         run.signal(signal);
         let outcome = run.finish().code(130);
@@ -51,9 +52,64 @@ fn a_second_signal_stops_at_once() {
     let stderr = |run: &Process| run.stderr_so_far().contains("once more to stop at once");
     assert!(wait_until(LIMIT, || stderr(&run)));
     assert!(run.is_running(), "it waits for the learner");
-    run.signal(Signal::SIGINT);
+    // The last one comes later than half a second after the first: those in between are the same request.
+    let ended = wait_until(LIMIT, || {
+        run.signal(Signal::SIGINT);
+        !run.is_running()
+    });
+    assert!(ended);
     run.finish().code(130);
     assert_gone(&dir);
+    assert!(!dir.result().exists(), "nothing was saved");
+}
+
+/// systemd sends SIGTERM and then SIGHUP, a batch system warns before it terminates, and a wrapper repeats them all.
+#[test]
+fn signals_together_are_one_request() {
+    let place = Place::new();
+    let (mut run, dir) = under_way(&place);
+    // What they ask for cannot be done until all of them have come.
+    let learner = process(dir.root(), "learner").unwrap();
+    send(learner, Signal::SIGSTOP);
+    let all =
+        [Signal::SIGTERM, Signal::SIGHUP, Signal::SIGUSR1, Signal::SIGINT, Signal::SIGINT, Signal::SIGTERM];
+    all.into_iter().for_each(|signal| run.signal(signal));
+    let pid = run.pid();
+    run.wait_for("all signals to be delivered", || {
+        let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+        status.lines().filter(|line| line.contains("Pnd:")).all(|line| line.ends_with("0000000000000000"))
+    });
+    assert!(wait_until(LIMIT, || run.stderr_so_far().contains("saving")));
+    send(learner, Signal::SIGCONT);
+    run.finish().code(130);
+    assert_gone(&dir);
+    let result = result(&dir);
+    assert!(result.interrupted);
+    assert_eq!(newest_checkpoint(&dir).unwrap() * 2 * 32, result.env_steps, "the last tick is saved");
+}
+
+/// Some systems signal every process of a service or a job, and not the supervisor alone.
+#[test]
+fn a_signal_for_a_process_of_a_run_is_one_for_the_run() {
+    let place = Place::new();
+    for (role, signal) in [
+        (Some("learner"), Signal::SIGUSR1),
+        (Some("actor-1"), Signal::SIGTERM),
+        (Some("mentor-server"), Signal::SIGXCPU),
+        (None, Signal::SIGTERM),
+    ] {
+        let (run, dir) = under_way(&place);
+        match role {
+            Some(role) => send(process(dir.root(), role).unwrap(), signal),
+            None => processes(dir.root()).iter().for_each(|(pid, _)| send(*pid, signal)),
+        }
+        run.finish().code(130);
+        assert_gone(&dir);
+        let result = result(&dir);
+        assert!(result.interrupted, "{role:?}");
+        assert_eq!(newest_checkpoint(&dir).unwrap() * 2 * 32, result.env_steps, "{role:?}");
+        fs::remove_dir_all(dir.root()).unwrap();
+    }
 }
 
 /// What a run has come to while it starts, and how to see it.

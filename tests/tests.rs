@@ -14,6 +14,7 @@ mod doctor;
 mod documentation;
 mod errors;
 mod faults;
+mod fencing;
 mod free;
 mod hazards;
 mod host;

@@ -436,7 +436,7 @@ pub(crate) fn tree(root: &Path) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
 /// The identities of runs that have left something and whose supervisor is dead.
 pub(crate) fn dead_runs() -> Vec<u64> {
     let all = Domain::all().unwrap();
-    all.iter().filter(|domain| !domain.is_alive()).map(Domain::run).collect()
+    all.iter().filter(|domain| domain.is_dead()).map(Domain::run).collect()
 }
 
 /// Whether `command` works here; says so where it does not, as the test then cannot.

@@ -12,6 +12,7 @@ fn plan(overrides: &[&str]) -> RunPlan {
     registry().resolve(&mut config.env, config.run.seed).unwrap();
     let spec = registry().build(&config.env).unwrap().spec().clone();
     RunPlan {
+        history: 0,
         run: 77,
         config,
         spec,

@@ -43,7 +43,17 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
     };
     let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
     let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };
-    RunPlan { run: 1, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0, generation: 0 }
+    RunPlan {
+        run: 1,
+        history: 7,
+        config,
+        spec,
+        mentors,
+        waypoints: None,
+        resume_tick: None,
+        restarts: 0,
+        generation: 0,
+    }
 }
 
 /// The demonstration of [`plan`]; none for `dqn`.

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 use trestle_bench::walk::World;
-use trestle_link::iceoryx::{Domain, IceoryxLearner, Services};
+use trestle_link::iceoryx::{Domain, HeldDomain, IceoryxLearner, Services};
 use trestle_link::{FromActor, LearnerLink};
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
@@ -108,6 +108,7 @@ impl Setup {
         let mentors = self.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
         Ok(RunPlan {
             run,
+            history: 0,
             config: config::from_table(&(), config::Table::new(), &sets)?,
             spec: World::new(2, MENTOR, 0.0).spec(),
             mentors: mentors.into_iter().collect(),
@@ -223,10 +224,11 @@ impl SharedMemory {
     /// With the processes that `peers` start, all of the run's actors and its mentor-server, which need `dir`.
     pub(super) fn new(learner: Learner, peers: Vec<Command>, dir: Scratch) -> Result<Self> {
         let domain = Domain::create(learner.plan.run)?;
-        let mut own = Peers { children: Vec::new(), services: None, domain: Some(domain.clone()), _dir: dir };
-        own.services = Some(Services::create(&domain, &learner.plan)?);
+        let mut own = Peers { children: Vec::new(), services: None, domain: None, _dir: dir };
+        let domain = own.domain.insert(domain);
+        own.services = Some(Services::create(domain, &learner.plan)?);
         peers.into_iter().try_for_each(|peer| own.start(peer))?;
-        let mut link = IceoryxLearner::new(&domain, &learner.plan)?;
+        let mut link = IceoryxLearner::new(&Domain::of(learner.plan.run), &learner.plan)?;
         link.welcome(&|| learner.interrupted.load(Ordering::Relaxed))?;
         Ok(Self { link, learner, peers: own })
     }
@@ -344,7 +346,8 @@ fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
 struct Peers {
     children: Vec<Child>,
     services: Option<Services>,
-    domain: Option<Domain>,
+    /// Goes after everything that lives in it.
+    domain: Option<HeldDomain>,
     _dir: Scratch,
 }
 
@@ -376,9 +379,5 @@ impl Drop for Peers {
             let _ = child.wait();
         }
         self.services = None;
-        let removed = self.domain.iter().try_for_each(Domain::remove);
-        if let Err(error) = removed {
-            eprintln!("cannot remove what the benchmark shared: {error}; `trestle doctor --fix` can");
-        }
     }
 }

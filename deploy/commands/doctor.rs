@@ -7,7 +7,7 @@ use nix::sys::statvfs::statvfs;
 use std::fs;
 use std::process::ExitCode;
 use trestle_actor::env::registry;
-use trestle_link::iceoryx::Domain;
+use trestle_link::iceoryx::{Domain, Liveness};
 
 /// Shared memory below which a run of the usual size may not fit, bytes.
 const LITTLE_SHARED_MEMORY: u64 = 64 << 20;
@@ -20,18 +20,27 @@ fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<
         Ok(all) => all,
         Err(error) => return line(false, format!("runs cannot be looked for: {error}")),
     };
-    let (living, dead): (Vec<Domain>, Vec<Domain>) = all.into_iter().partition(Domain::is_alive);
-    line(true, format!("runs in progress: {}", living.len()))?;
-    for domain in &dead {
+    let living = all.iter().filter(|domain| domain.is_alive()).count();
+    line(true, format!("runs in progress: {living}"))?;
+    for domain in &all {
         let files = domain.shared_memory()?;
         let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
-        let what =
-            format!("left by dead run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
-        if fix {
-            domain.remove()?;
-            line(true, format!("{what}: removed"))?;
-        } else {
-            line(false, format!("{what}; `trestle doctor --fix` removes it"))?;
+        let what = format!("run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
+        match domain.liveness() {
+            Liveness::Dead if fix => {
+                domain.remove()?;
+                line(true, format!("left by dead {what}: removed"))?;
+            }
+            Liveness::Dead => line(false, format!("left by dead {what}; `trestle doctor --fix` removes it"))?,
+            // A run of another version, perhaps, or one that is just being made.
+            Liveness::Unknown => line(
+                true,
+                format!(
+                    "left alone, because nothing tells whether it lives: {what}; if it does not, remove /dev/shm/{}*",
+                    domain.prefix()
+                ),
+            )?,
+            Liveness::Alive | Liveness::Absent => {}
         }
     }
     Ok(())

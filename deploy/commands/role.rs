@@ -4,7 +4,11 @@
 use crate::cli::{ActorRole, Role};
 use crate::output::say;
 use crate::status::{LOST_PEER, ORPHANED, TOLD};
+use crate::supervise::asking;
 use anyhow::{Context, Result};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use signal_hook::consts::{SIGINT, SIGTERM};
 use std::io::{self, ErrorKind, Read, Write, stdin, stdout};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
@@ -47,15 +51,22 @@ impl Start {
         }));
         let domain = Domain::of(plan.run);
         let stop = Arc::new(AtomicBool::new(false));
-        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-            // The second signal ends the process at once.
-            signal_hook::flag::register_conditional_default(signal, stop.clone())
-                .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
-                .context("cannot handle signals")?;
-        }
         if args.watch_stdin {
-            let domain = domain.clone();
-            thread::Builder::new().name("watch".into()).spawn(move || leave_with_supervisor(&domain))?;
+            let (domain, stop) = (domain.clone(), stop.clone());
+            // A signal that asks this process to leave asks the run: the supervisor decides what becomes of it.
+            let asked = Arc::new(AtomicBool::new(false));
+            for signal in asking() {
+                signal_hook::flag::register(signal, asked.clone()).context("cannot handle signals")?;
+            }
+            let watch = move || leave_with_supervisor(&domain, &asked, &stop);
+            thread::Builder::new().name("watch".into()).spawn(watch)?;
+        } else {
+            for signal in [SIGTERM, SIGINT] {
+                // The second signal ends the process at once.
+                signal_hook::flag::register_conditional_default(signal, stop.clone())
+                    .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+                    .context("cannot handle signals")?;
+            }
         }
         Ok(Self { dir, plan, domain, stop })
     }
@@ -76,16 +87,16 @@ fn last_words(panic: &PanicHookInfo<'_>) {
     say(&format!("error: panicked{place}: {}", text.unwrap_or("(no message)").replace('\n', " ")));
 }
 
-/// Gives signs of life on standard input, where that is a socket, until it is closed, which only the end of the
-/// supervisor does; then removes what the run shared, in its stead, and ends this process.
+/// Gives signs of life on standard input, where that is a socket, and takes the order to leave from there, until it is
+/// closed, which only the end of the supervisor does; then removes what the run shared, in its stead, and ends this process.
 ///
 /// This thread shows that the process is run at all, and says of the others whether they get ahead: a gradient phase
 /// may take as long as it likes.
 ///
 /// The removal is done by this program begun anew in this process ([`orphaned`]): that ends all other threads, which
 /// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
-fn leave_with_supervisor(domain: &Domain) {
-    if let Err(error) = beat_until_closed() {
+fn leave_with_supervisor(domain: &Domain, asked: &AtomicBool, stop: &AtomicBool) {
+    if let Err(error) = beat_until_closed(asked, stop) {
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
@@ -95,7 +106,7 @@ fn leave_with_supervisor(domain: &Domain) {
     std::process::exit(ORPHANED.into());
 }
 
-fn beat_until_closed() -> io::Result<()> {
+fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool) -> io::Result<()> {
     let mut line = UnixStream::from(stdin().as_fd().try_clone_to_owned()?);
     // A pipe has no timeouts: then nobody wants signs of life.
     if line.set_read_timeout(Some(BEAT)).and_then(|()| line.set_write_timeout(Some(BEAT))).is_err() {
@@ -107,6 +118,11 @@ fn beat_until_closed() -> io::Result<()> {
     loop {
         match line.read(&mut byte) {
             Ok(0) => return Ok(()),
+            Ok(_) if byte == [pulse::LEAVE] => {
+                stop.store(true, Ordering::Relaxed);
+                // Whoever waits for a message looks up.
+                kill(Pid::this(), Signal::SIGTERM)?;
+            }
             Ok(_) => {}
             // Interrupted: it was stopped and goes on. If that happens again and again, no read ever comes to its end.
             Err(error)
@@ -118,6 +134,9 @@ fn beat_until_closed() -> io::Result<()> {
                 let steps = pulse::steps();
                 // A supervisor that does not read is stopped itself; one that is gone is noticed by the next read.
                 let _ = line.write(&[if steps == seen { pulse::IDLE } else { pulse::BUSY }]);
+                if asked.load(Ordering::Relaxed) && !stop.load(Ordering::Relaxed) {
+                    let _ = line.write(&[pulse::ASKED]);
+                }
                 seen = steps;
             }
             // The supervisor went before it had read all.

@@ -3,21 +3,20 @@
 //! Until the run has begun to train, the directory can still be given up; what `--overwrite` replaces is kept beside it
 //! until then.
 
+use super::fence::Fence;
 use super::probes::check_shared_memory;
 use super::resolve::{Resolved, copy_of};
 use crate::build_info::BuildInfo;
-use crate::supervise::hold::lock;
 use anyhow::{Context, Result, bail, ensure};
-use nix::fcntl::Flock;
 use std::cell::Cell;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
-use trestle_link::iceoryx::Domain;
 use trestle_link::iceoryx::services::Sizes;
+use trestle_link::iceoryx::{Domain, HeldDomain, Liveness};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
 use trestle_proto::plan::RunPlan;
@@ -47,8 +46,8 @@ pub(crate) struct Prepared {
     /// Where the run that is being replaced waits.
     replaced: Option<PathBuf>,
     began: Cell<bool>,
-    /// Keeps other supervisors away.
-    _lock: Option<Flock<File>>,
+    /// Keeps other runs away.
+    fence: Fence,
 }
 
 impl Resolved {
@@ -63,8 +62,9 @@ impl Resolved {
     pub(crate) fn prepare(mut self, root: &Path, existing: Existing) -> Result<Prepared> {
         let dir = RunDir::new(root);
         let occupied = occupied(root)?;
-        let held = if occupied && existing != Existing::Keep { lock(root)? } else { None };
-        let resume_tick = match existing {
+        let fence = if occupied && existing != Existing::Keep { Some(Fence::take(root)?) } else { None };
+        clear_away(&dir, fence.as_ref());
+        let followed = match existing {
             Existing::Resume => Some(self.check_resume(&dir)?),
             Existing::Keep if occupied => {
                 bail!("{} exists; accepted: another --out, --resume, or --overwrite", root.display())
@@ -75,7 +75,7 @@ impl Resolved {
             ),
             _ => None,
         };
-        if resume_tick.is_none() {
+        if followed.is_none() {
             // So that the run's own configuration needs no other file.
             let base = RunDir::new(
                 std::path::absolute(root).with_context(|| format!("cannot find {}", root.display()))?,
@@ -84,28 +84,29 @@ impl Resolved {
             self.config.mentor.demo =
                 demos.map_files(|name, _| copy_of(&base, demos, name).display().to_string());
         }
-        let mut plan = self.plan(new_identity(), resume_tick);
-        if resume_tick.is_some() {
-            // A plan that cannot be read any more is not needed to go on.
-            if let Ok(before) = dir.read_plan() {
-                plan.restarts = before.restarts;
-                plan.generation = next_generation(before.generation)?;
+        let mut plan = self.plan(new_identity(), None);
+        match &followed {
+            None => plan.history = draw(),
+            Some((former, tick)) => {
+                (plan.history, plan.restarts) = (former.history, former.restarts);
+                plan.generation = next_generation(former.generation)?;
+                plan.resume_tick = Some(*tick);
             }
         }
         if self.config.run.mode != Mode::Reference {
             check_shared_memory(Sizes::of(&plan).shared_memory_bytes())?;
         }
-        let fresh = resume_tick.is_none();
+        let fresh = followed.is_none();
         let replaced = if fresh && occupied { Some(move_aside(root)?) } else { None };
         let made = !root.exists();
-        let held = match held.filter(|_| !fresh) {
-            Some(lock) => Some(lock),
+        let fence = match fence.filter(|_| !fresh) {
+            Some(fence) => fence,
             None => make(root, fresh).inspect_err(|_| {
                 // Where the directory is another start's by now, what it would replace stays aside.
                 replaced.as_ref().map(|aside| fs::rename(aside, root));
             })?,
         };
-        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), _lock: held };
+        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), fence };
         prepared.write(&self)?;
         Ok(prepared)
     }
@@ -121,11 +122,25 @@ impl Resolved {
 
     /// Whether the run in `root` has a checkpoint that this configuration can go on from.
     pub(crate) fn has_checkpoint(&self, root: &Path) -> Result<bool> {
-        Ok(checkpoint::newest_resumable(root, &self.plan(0, None))?.is_some())
+        Ok(checkpoint::newest_resumable(root, &self.former(&RunDir::new(root))?)?.is_some())
     }
 
-    /// The tick of the newest checkpoint that this configuration can go on from.
-    fn check_resume(&self, dir: &RunDir) -> Result<u64> {
+    /// The plan of the learner that was the last to work in `dir`, as far as it matters to its checkpoints.
+    fn former(&self, dir: &RunDir) -> Result<RunPlan> {
+        let mut former = self.plan(0, None);
+        if let Ok(plan) = dir.read_plan() {
+            (former.history, former.generation) = (plan.history, plan.generation);
+            (former.resume_tick, former.restarts) = (plan.resume_tick, plan.restarts);
+        } else if let Some(life) = checkpoint::newest_life(dir.root(), &former)? {
+            // A plan that cannot be read any more is not needed to go on.
+            (former.history, former.generation) = (life.history, life.generation);
+            former.resume_tick = Some(life.tick);
+        }
+        Ok(former)
+    }
+
+    /// The plan of the learner to follow, and the tick of the newest checkpoint that this configuration can go on from.
+    fn check_resume(&self, dir: &RunDir) -> Result<(RunPlan, u64)> {
         let root = dir.root().display();
         if let Some(result) = self.complete(dir.root()) {
             bail!(
@@ -135,8 +150,9 @@ impl Resolved {
                 result.env_steps
             );
         }
-        match checkpoint::newest_resumable(dir.root(), &self.plan(0, None))? {
-            Some((tick, _)) => Ok(tick),
+        let former = self.former(dir)?;
+        match checkpoint::newest_resumable(dir.root(), &former)? {
+            Some((tick, _)) => Ok((former, tick)),
             None => bail!("--resume: {root} holds no checkpoint to go on from"),
         }
     }
@@ -151,8 +167,13 @@ impl Prepared {
         &self.plan
     }
 
+    /// The lock of the run's directory.
+    pub(crate) fn fence(&self) -> &Fence {
+        &self.fence
+    }
+
     /// The place of the run's shared memory.
-    pub(crate) fn create_domain(&self) -> Result<Domain> {
+    pub(crate) fn create_domain(&self) -> Result<HeldDomain> {
         Ok(Domain::create(self.plan.run)?)
     }
 
@@ -275,12 +296,12 @@ impl Drop for Prepared {
 }
 
 /// Makes the run directory `root`, if it is not there, and takes it for this process.
-fn make(root: &Path, fresh: bool) -> Result<Option<Flock<File>>> {
+fn make(root: &Path, fresh: bool) -> Result<Fence> {
     fs::create_dir_all(root).with_context(|| format!("cannot make {}", root.display()))?;
-    let lock = lock(root)?;
+    let fence = Fence::take(root)?;
     // Another start may have been quicker, and be over.
     ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
-    Ok(lock)
+    Ok(fence)
 }
 
 /// Writes a small file of the run.
@@ -326,11 +347,31 @@ fn next_generation(generation: u16) -> Result<u16> {
     generation.checked_add(1).context("the learner has been started 65536 times")
 }
 
+/// Removes what the last run in `dir` has left in shared memory: its supervisor and a process of it may have been killed
+/// within a moment. Whoever has the lock of the directory knows that no process of that run is left; without it, only what
+/// is known to be dead is removed. A copy of a directory names the run of the original, which may be alive.
+fn clear_away(dir: &RunDir, fence: Option<&Fence>) {
+    let Ok(plan) = dir.read_plan() else { return };
+    let domain = Domain::of(plan.run);
+    let left = match domain.liveness() {
+        Liveness::Dead => true,
+        Liveness::Unknown => fence.is_some_and(Fence::holds),
+        Liveness::Alive | Liveness::Absent => false,
+    };
+    if left && let Err(error) = domain.remove() {
+        tracing::warn!("cannot remove what the run before has left in shared memory: {error}");
+    }
+}
+
 /// An identity for the run's shared memory: 32 bits that no living run has; a clash is found when the domain is made.
 fn new_identity() -> u64 {
+    draw() >> 32
+}
+
+/// 64 bits that are not drawn twice.
+fn draw() -> u64 {
     let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-    let word = trestle_proto::rng::mix(nanos ^ u64::from(std::process::id()) << 32);
-    word >> 32
+    trestle_proto::rng::mix(nanos ^ u64::from(std::process::id()) << 32)
 }
 
 /// `arg` as a shell would need it.

@@ -2,11 +2,13 @@
 //!
 //! - `resolve`: the configuration meets its environment and its demonstrations, and becomes a plan;
 //! - `probes`: what the machine must offer;
+//! - `fence`: the lock of a run's directory;
 //! - `directory`: the run's directory is made, replaced, or taken over to go on in it.
 //!
 //! Everything that can be refused is refused before the first file is written.
 
 mod directory;
+mod fence;
 mod probes;
 mod resolve;
 

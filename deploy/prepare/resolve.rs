@@ -201,6 +201,7 @@ impl Resolved {
         let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
         RunPlan {
             run,
+            history: 0,
             config: self.config.clone(),
             spec: self.spec.clone(),
             mentors: mentors.into_iter().flat_map(|mentors| &mentors.each).map(part).collect(),

@@ -2,15 +2,14 @@
 //!
 //! A child's standard error goes to its log. Its standard input is a socket whose other end only the supervisor holds:
 //! when the supervisor is gone, however it went, the child reads its end and leaves. The child gives its signs of life
-//! there. Children have process groups of their own, so that Ctrl-C reaches the supervisor alone.
+//! there, and gets the order to leave. Children have process groups of their own, so that Ctrl-C reaches the supervisor
+//! alone; other signals that ask a child to leave are passed on to the supervisor.
 
-use super::Event;
+use super::Report;
 use super::line::{Fault, Line};
 use crate::prepare::Prepared;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
 use std::fmt;
 use std::fs::{self, OpenOptions};
 use std::os::fd::OwnedFd;
@@ -104,29 +103,25 @@ pub(super) struct Child {
     /// Why it has been killed, if it was.
     pub(super) fault: Option<Fault>,
     /// To the task that waits for the process.
-    signals: mpsc::UnboundedSender<Signal>,
+    end: mpsc::UnboundedSender<()>,
     pub(super) line: Line,
 }
 
 impl Child {
     /// Asks the process to finish what it is doing and leave.
-    pub(super) fn terminate(&self) {
-        self.send(Signal::SIGTERM);
+    pub(super) fn leave(&mut self) {
+        self.line.leave();
     }
 
     /// Ends the process.
     pub(super) fn kill(&self) {
-        self.send(Signal::SIGKILL);
-    }
-
-    fn send(&self, signal: Signal) {
         // The task is gone when the process is.
-        let _ = self.signals.send(signal);
+        let _ = self.end.send(());
     }
 }
 
 /// Starts every process of the run; their ends, and the learner's progress, come through `events`.
-pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Event>) -> Result<Vec<Child>> {
+pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Report>) -> Result<Vec<Child>> {
     let run = &prepared.plan().config.run;
     let mut roles = vec![Role::Learner];
     if run.algo.has_mentor() {
@@ -151,7 +146,7 @@ pub(super) fn start(
     prepared: &Prepared,
     role: Role,
     replacements: u16,
-    events: &mpsc::Sender<Event>,
+    events: &mpsc::Sender<Report>,
 ) -> Result<Child> {
     let dir = prepared.dir();
     let path = dir.log(&role.to_string());
@@ -180,11 +175,14 @@ pub(super) fn start(
     command.stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
     let learner = role == Role::Learner;
     command.stdout(if learner { Stdio::piped() } else { Stdio::null() });
+    // Only the learner writes into the run's directory beside the supervisor.
+    let fence = if learner { prepared.fence().inheritable()? } else { None };
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
+    drop(fence);
     // So that the child alone holds its end.
     drop(command);
     let stdout = process.stdout.take();
-    let (signals, received) = mpsc::unbounded_channel();
+    let (end, received) = mpsc::unbounded_channel();
     let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
@@ -194,34 +192,31 @@ pub(super) fn start(
             let _ = forwarding.await;
         }
         // A supervisor that no longer listens is itself on its way out.
-        let _ = events.send(Event::Exited(role, status)).await;
+        let _ = events.send(Report::Exited(role, status)).await;
     });
-    Ok(Child { role, running: true, fault: None, signals, line })
+    Ok(Child { role, running: true, fault: None, end, line })
 }
 
-/// Waits for `process` and sends it the signals that come meanwhile: never after it has been waited for, when its id could
-/// be another's.
+/// Waits for `process`, and kills it when that is ordered: never after it has been waited for, when its id could be
+/// another's.
 async fn wait(
     process: &mut process::Child,
-    mut signals: mpsc::UnboundedReceiver<Signal>,
+    mut end: mpsc::UnboundedReceiver<()>,
 ) -> std::io::Result<ExitStatus> {
     loop {
         tokio::select! {
             status = process.wait() => return status,
-            Some(signal) = signals.recv() => {
-                let Some(id) = process.id() else { continue };
-                kill(Pid::from_raw(id.cast_signed()), signal)?;
-            }
+            Some(()) = end.recv() => process.start_kill()?,
         }
     }
 }
 
 /// Passes the learner's progress on until it closes its standard output.
-async fn forward(stdout: ChildStdout, events: mpsc::Sender<Event>) {
+async fn forward(stdout: ChildStdout, events: mpsc::Sender<Report>) {
     let mut lines = BufReader::new(stdout).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         match serde_json::from_str::<Progress>(&line) {
-            Ok(progress) => _ = events.send(Event::Progress(progress)).await,
+            Ok(progress) => _ = events.send(Report::Progress(progress)).await,
             Err(error) => tracing::warn!("the learner printed a line that is no progress ({error}): {line}"),
         }
     }

@@ -148,7 +148,7 @@ impl Sweep {
             let known = self.paces(&outcomes);
             tokio::select! {
                 paces = self.probe(known, &queue) => paces,
-                () = signals.any() => return Ok(Swept { outcomes: unfinished(outcomes), interrupted: true }),
+                _ = signals.next() => return Ok(Swept { outcomes: unfinished(outcomes), interrupted: true }),
             }
         };
         let mut progress = Progress::new(self, paces, &queue);
@@ -176,7 +176,7 @@ impl Sweep {
                     }
                     None => break,
                 },
-                () = signals.any(), if !interrupted => interrupted = true,
+                _ = signals.next(), if !interrupted => interrupted = true,
             }
         }
         progress.finish();

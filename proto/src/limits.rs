@@ -50,6 +50,10 @@ pub const BACKPRESSURE: Duration = Duration::from_secs(10);
 pub const WAIT_SLICE: Duration = Duration::from_millis(200);
 /// How long the supervisor waits for the other processes once the learner has left.
 pub const GRACE: Duration = Duration::from_secs(5);
+/// Least time between the first SIGINT and a later one that means "stop at once".
+pub const REPEAT: Duration = Duration::from_millis(500);
+/// How long a start waits for the end of the processes of a dead run that still have the lock of its directory.
+pub const FENCE_WAIT: Duration = Duration::from_secs(10);
 /// How often a process of a run gives a sign of life, and how often the supervisor looks for it.
 pub const BEAT: Duration = Duration::from_secs(1);
 /// Least seconds without a sign of life after which a process may count as dead: several beats.

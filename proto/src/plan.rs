@@ -16,6 +16,9 @@ pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 6 };
 pub struct RunPlan {
     /// Identity of the run, drawn anew each time it is started or resumed; in the name of its shared memory.
     pub run: u64,
+    /// Identity of the run's history, drawn when the run begins anew and kept when it is resumed. With `generation` it tells whose
+    /// a checkpoint is.
+    pub history: u64,
     /// The resolved configuration.
     pub config: Config,
     /// The environment's spaces.
@@ -28,7 +31,7 @@ pub struct RunPlan {
     pub resume_tick: Option<u64>,
     /// How many times the run, or in free mode one of its processes, has been started again after the death of a process.
     pub restarts: u64,
-    /// How many times the learner has been started before: the upper half of the incarnations in free mode.
+    /// How many times the learner has been started before in this history: the upper half of the incarnations in free mode.
     pub generation: u16,
 }
 

@@ -13,7 +13,7 @@ use trestle_proto::config::Mode;
 use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 4;
+pub const FORMAT: u32 = 5;
 /// Largest MANIFEST or COMPLETE that is read, bytes.
 const MAX_BYTES: u64 = 1 << 16;
 
@@ -39,6 +39,10 @@ pub struct Manifest {
     pub version: String,
     /// The tick after which it was taken.
     pub tick: u64,
+    /// The history of the run that it belongs to, 16 hexadecimal digits ([`RunPlan::history`]).
+    pub history: String,
+    /// Which learner of that history wrote it ([`RunPlan::generation`]).
+    pub generation: u16,
     /// [`fingerprint`] of the run's plan.
     pub configuration: String,
     /// The run's counters at the tick, for people.
@@ -66,6 +70,38 @@ pub fn fingerprint(plan: &RunPlan) -> String {
     }
     let text = serde_json::json!([config, plan.spec, plan.mentor_len()]).to_string();
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The life of one learner: where it stands in the history of its run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Life {
+    /// As in [`Manifest`].
+    pub(super) history: String,
+    /// As in [`Manifest`].
+    pub(super) generation: u16,
+    /// The checkpoint that it went on from, none at the beginning of the history.
+    from: Option<u64>,
+}
+
+impl Life {
+    pub(super) fn of(plan: &RunPlan) -> Self {
+        let (history, from) = (format!("{:016x}", plan.history), plan.resume_tick);
+        Self { history, generation: plan.generation, from }
+    }
+
+    /// Whether this learner wrote the checkpoint.
+    pub(super) fn wrote(&self, manifest: &Manifest) -> bool {
+        manifest.history == self.history && manifest.generation == self.generation
+    }
+
+    /// Whether the checkpoint is of this learner's past: its own, or of a learner before it and no newer than what this one went on
+    /// from. A newer one of an earlier learner is of a past that has been left: the run has gone back behind it.
+    pub(super) fn knows(&self, manifest: &Manifest) -> bool {
+        let before = manifest.history == self.history
+            && manifest.generation < self.generation
+            && self.from.is_some_and(|from| manifest.tick <= from);
+        before || self.wrote(manifest)
+    }
 }
 
 impl Manifest {

@@ -13,7 +13,7 @@
 //!     agent.bin                       counters, random streams, running episodes, training counts
 //!     actors.bin                      what each actor gave of itself
 //!     run.bin                         what the loop remembers (evaluations, recorder)
-//!     MANIFEST                        JSON: format, version, tick, configuration, size and CRC-32C of each file
+//!     MANIFEST                        JSON: format, version, tick, history, generation, configuration, size and CRC-32C of each file
 //!     COMPLETE                        CRC-32C of MANIFEST; written last
 //! ```
 //!
@@ -27,6 +27,11 @@
 //! no COMPLETE and is passed over, as is one whose files differ from its MANIFEST: [`newest_complete`] names the
 //! fault in the log and takes the next older one.
 //!
+//! A checkpoint says whose it is: its MANIFEST has the identity of the run's history, drawn when the run began anew, and the
+//! number of the learner that wrote it. A learner keeps, links and goes on from checkpoints of its own past alone; the tick
+//! of a checkpoint says nothing of that. Where a run has gone back behind a checkpoint, because that was damaged, the checkpoint
+//! is removed with the first one that is written afterwards.
+//!
 //! Weight matrices are `[in, out]`, the transpose of PyTorch's `nn.Linear`.
 
 mod error;
@@ -39,7 +44,9 @@ mod write;
 
 pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
-pub use read::{Loaded, load, load_actors, load_model, newest_complete, newest_resumable};
+pub use read::{
+    LastLife, Loaded, load, load_actors, load_model, newest_complete, newest_life, newest_resumable,
+};
 pub use saver::Saver;
 pub use write::{Cut, Unsynced};
 

@@ -1,7 +1,7 @@
 //! Finding and reading checkpoints.
 
 use super::error::{CheckpointError, contents};
-use super::manifest::{self, FileEntry, Manifest, fingerprint};
+use super::manifest::{self, FileEntry, Life, Manifest, fingerprint};
 use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, RUN_KIND};
 use super::{ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, TARGET};
 use super::{directory, file, tensors, ticks};
@@ -39,16 +39,58 @@ pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, Checkpo
     newest(run_dir, |_| true)
 }
 
-/// As [`newest_complete`], of the checkpoints that `plan`'s run can go on from: not the last one of a run that ended
-/// within a tick, and none of another configuration, which is passed over with a warning.
+/// As [`newest_complete`], of the checkpoints that a learner after `plan`'s can go on from: not the last one of a run that ended
+/// within a tick, and none of another configuration or another history, which is passed over with a warning.
 pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
-    let own = fingerprint(plan);
+    let (own, life) = (fingerprint(plan), Life::of(plan));
     newest(run_dir, |manifest| {
-        if manifest.configuration != own {
-            tracing::warn!("the checkpoint of tick {} is passed over: it is of another run", manifest.tick);
+        let tick = manifest.tick;
+        if manifest.configuration != own || manifest.history != life.history {
+            tracing::warn!("the checkpoint of tick {tick} is passed over: it is of another run");
+            return false;
         }
-        manifest.configuration == own && !manifest.cut_short
+        if !life.knows(manifest) {
+            tracing::warn!("the checkpoint of tick {tick} is passed over: the run has gone back behind it");
+            return false;
+        }
+        !manifest.cut_short
     })
+}
+
+/// What the checkpoints in a run directory tell of the learners that wrote them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LastLife {
+    /// [`RunPlan::history`] of the newest checkpoint of the configuration.
+    pub history: u64,
+    /// The highest [`RunPlan::generation`] in that history.
+    pub generation: u16,
+    /// The tick of that checkpoint.
+    pub tick: u64,
+}
+
+/// The learner that `plan`'s run follows, from the checkpoints alone: for a directory whose plan is lost. None if there is no
+/// checkpoint of `plan`'s configuration.
+///
+/// # Errors
+/// The directory cannot be listed.
+pub fn newest_life(run_dir: &Path, plan: &RunPlan) -> Result<Option<LastLife>, CheckpointError> {
+    let own = fingerprint(plan);
+    let mut last: Option<(String, LastLife)> = None;
+    for tick in ticks(run_dir)? {
+        let Ok(manifest) = manifest::read(&directory(run_dir, tick)) else { continue };
+        match &mut last {
+            Some((history, life)) if *history == manifest.history => {
+                life.generation = life.generation.max(manifest.generation);
+            }
+            Some(_) => {}
+            None if manifest.configuration == own => {
+                let Ok(history) = u64::from_str_radix(&manifest.history, 16) else { continue };
+                last = Some((manifest.history, LastLife { history, generation: manifest.generation, tick }));
+            }
+            None => {}
+        }
+    }
+    Ok(last.map(|(_, life)| life))
 }
 
 fn newest(

@@ -311,3 +311,94 @@ fn a_failure_to_write_is_reported() {
     assert!(fault.contains("checkpoints"), "{fault}");
     saver.wait().unwrap();
 }
+
+/// The plan of a later learner of the same run, which goes on from checkpoint `from`.
+fn later(plan: &RunPlan, generation: u16, from: Option<u64>) -> RunPlan {
+    RunPlan { generation, resume_tick: from, ..plan.clone() }
+}
+
+/// An agent that has lived through other ticks than that of [`run`].
+fn other_agent(plan: &RunPlan, ticks: usize) -> Agent {
+    let mut agent = Agent::new(plan, demonstration(plan)).unwrap();
+    live(&mut agent, &mut World::new(plan, 77), plan.config.run.actors, ticks);
+    agent
+}
+
+#[test]
+fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
+    let first = plan(&[]);
+    let other_run = RunPlan { history: 8, ..first.clone() };
+    for (plan, what) in [
+        (later(&first, 1, Some(4)), "a later learner"),
+        (later(&first, 1, None), "a later learner, from the beginning"),
+        (other_run, "another run"),
+    ] {
+        let (dir, theirs) = run(&first, &[4, 6]);
+        let own = other_agent(&plan, 6);
+        assert_ne!(own.weights(), theirs.weights());
+        let mut saver = Saver::new(dir.path());
+        save(&mut saver, &plan, 6, &own).unwrap();
+        let loaded = load(&directory(dir.path(), 6), &plan, demonstration(&plan)).unwrap();
+        assert!(everything(&loaded.agent) == everything(&own), "{what}");
+        assert_eq!(newest_resumable(dir.path(), &plan).unwrap().unwrap().0, 6, "{what}");
+    }
+    // What a learner has gone on from is the same cut, whoever wrote it.
+    let (dir, _) = run(&first, &[4, 6]);
+    let mut saver = Saver::after(dir.path(), 6).unwrap();
+    let written = || fs::metadata(directory(dir.path(), 6).join(MANIFEST)).unwrap().modified().unwrap();
+    let before = written();
+    let next = later(&first, 1, Some(6));
+    let again = load(&directory(dir.path(), 6), &next, demonstration(&next)).unwrap().agent;
+    save(&mut saver, &next, 6, &again).unwrap();
+    assert_eq!(written(), before);
+}
+
+#[test]
+fn a_run_that_has_gone_back_leaves_what_came_after() {
+    let first = plan(&["checkpoint.keep=9"]);
+    let (dir, _) = run(&first, &[4, 6, 8]);
+    let newest = |plan: &RunPlan| newest_resumable(dir.path(), plan).unwrap().map(|(tick, _)| tick);
+    assert_eq!(newest(&first), Some(8));
+    // As after damage to 6 and 8 that is not there any more when somebody looks again.
+    let second = later(&first, 1, Some(4));
+    assert_eq!(newest(&second), Some(4));
+    let mut agent = load(&directory(dir.path(), 4), &second, demonstration(&second)).unwrap().agent;
+    live(&mut agent, &mut World::new(&second, 77), second.config.run.actors, 3);
+    let mut saver = Saver::after(dir.path(), 4).unwrap();
+    save(&mut saver, &second, 7, &agent).unwrap();
+    assert_eq!(newest(&second), Some(7));
+    assert_eq!(ticks(dir.path()).unwrap(), [7, 4], "6 and 8 are of another past");
+    // The next one knows both.
+    assert_eq!(newest(&later(&first, 2, Some(7))), Some(7));
+    // From the beginning, there is nothing before it.
+    assert_eq!(newest(&later(&first, 2, None)), None);
+    assert_eq!(newest(&RunPlan { history: 8, ..second }), None);
+}
+
+#[test]
+fn segments_of_another_learner_are_never_linked() {
+    let plan = plan(&["learner.replay=640", "checkpoint.keep=9"]);
+    let (dir, mut agent) = run(&plan, &[20]);
+    let mut saver = Saver::after(dir.path(), 20).unwrap();
+    // Somebody else puts another checkpoint in its place: of the same sizes, under the same names.
+    let rival = later(&plan, 1, None);
+    save(&mut Saver::new(dir.path()), &rival, 20, &other_agent(&rival, 20)).unwrap();
+    live(&mut agent, &mut World::new(&plan, 5), plan.config.run.actors, 20);
+    save(&mut saver, &plan, 40, &agent).unwrap();
+    let loaded = load(&directory(dir.path(), 40), &plan, demonstration(&plan)).unwrap();
+    assert!(everything(&loaded.agent) == everything(&agent));
+}
+
+#[test]
+fn checkpoints_tell_whose_they_are_where_the_plan_is_lost() {
+    let first = plan(&["checkpoint.keep=9"]);
+    let (dir, agent) = run(&first, &[4]);
+    let unknown = RunPlan { history: 0, ..first.clone() };
+    assert_eq!(newest_life(dir.path(), &plan(&["run.seed=77"])).unwrap(), None);
+    let life = |generation, tick| Some(LastLife { history: first.history, generation, tick });
+    assert_eq!(newest_life(dir.path(), &unknown).unwrap(), life(0, 4));
+    let next = later(&first, 3, Some(4));
+    save(&mut Saver::after(dir.path(), 4).unwrap(), &next, 6, &agent).unwrap();
+    assert_eq!(newest_life(dir.path(), &unknown).unwrap(), life(3, 6));
+    assert_eq!(newest_life(&dir.path().join("none"), &unknown).unwrap(), None);
+}

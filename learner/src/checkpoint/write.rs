@@ -1,7 +1,7 @@
 //! Copying a cut, writing the copy, and removing the checkpoints that are no longer kept.
 
 use super::error::{CheckpointError, contents, io};
-use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint};
+use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
 use super::{
     ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, SCRATCH, TARGET,
 };
@@ -49,15 +49,23 @@ pub struct Unsynced {
 }
 
 /// A complete checkpoint.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Saved {
     pub(super) dir: PathBuf,
     pub(super) manifest: Manifest,
 }
 
 impl Saved {
+    /// Whether this very checkpoint is still in its place.
+    fn is_there(&self) -> bool {
+        manifest::read(&self.dir).is_ok_and(|found| found == self.manifest)
+    }
+
     /// The segments that the checkpoint holds and that can be had from it.
     fn segments(&self) -> Vec<(Span, &FileEntry)> {
+        if !self.is_there() {
+            return Vec::new();
+        }
         let there = |entry: &FileEntry| {
             fs::metadata(self.dir.join(&entry.name)).is_ok_and(|found| found.len() == entry.bytes)
         };
@@ -70,11 +78,13 @@ impl Saved {
 pub(super) struct Frozen {
     /// All but the files.
     manifest: Manifest,
+    life: Life,
     keep: usize,
     new: Vec<(String, Vec<u8>)>,
-    /// Segments that an earlier checkpoint, in that directory, holds already.
+    /// Segments that the earlier checkpoint holds already.
     linked: Vec<FileEntry>,
-    from: PathBuf,
+    /// The checkpoint that this learner wrote last, or went on from.
+    earlier: Option<Saved>,
     records: Vec<Unsynced>,
 }
 
@@ -117,17 +127,20 @@ impl Frozen {
                 None => new.push((span.name(), agent.replay().segment(span))),
             }
         }
+        let life = Life::of(cut.plan);
         let manifest = Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").into(),
             tick: cut.tick,
+            history: life.history.clone(),
+            generation: life.generation,
             configuration: fingerprint(cut.plan),
             counters: agent.counters(),
             cut_short: agent.cut_short(),
             files: Vec::new(),
         };
-        let (keep, from) = (cut.plan.config.checkpoint.keep, saved.map(|saved| saved.dir.clone()));
-        Ok(Self { manifest, keep, new, linked, from: from.unwrap_or_default(), records })
+        let keep = cut.plan.config.checkpoint.keep;
+        Ok(Self { manifest, life, keep, new, linked, earlier: saved.cloned(), records })
     }
 
     /// The tick of the cut.
@@ -143,9 +156,9 @@ impl Frozen {
     /// Writes the checkpoint into `run_dir` (which exists) as its newest, and removes all but the newest `keep` complete
     /// ones as well as what was left unfinished.
     ///
-    /// If there is a sound checkpoint of the tick already, it is the same cut and stays: lockstep is deterministic, and free mode
-    /// takes no two at the same round. Only one
-    /// process, with one thread, may write into a run directory at a time.
+    /// A sound checkpoint of the tick stays if this learner wrote it or went on from it: then it is the same cut. Any other
+    /// is replaced. Checkpoints of a past that the run has left are removed. Only one process, with one thread, may write into a
+    /// run directory at a time.
     ///
     /// # Errors
     /// The file system refuses. Older checkpoints are untouched then.
@@ -156,18 +169,20 @@ impl Frozen {
         for record in &self.records {
             record.file.sync_data().map_err(io(&record.path, "write"))?;
         }
-        let (tick, keep) = (self.tick(), self.keep);
+        let (tick, keep, life) = (self.tick(), self.keep, self.life.clone());
         let dir = directory(run_dir, tick);
-        let same =
-            |found: &Manifest| found.tick == tick && found.configuration == self.manifest.configuration;
+        let same = |found: &Manifest| {
+            let own = life.wrote(found) && found.configuration == self.manifest.configuration;
+            found.tick == tick && (own || self.earlier.as_ref().is_some_and(|saved| saved.manifest == *found))
+        };
         let manifest = match read::verify(&dir) {
             Ok(found) if same(&found) => found,
             _ => {
-                remove(&root, &dir)?;
                 let scratch = root.join(format!("{SCRATCH}{}", name_of(tick)));
                 fs::create_dir(&scratch).map_err(io(&scratch, "create"))?;
                 let (manifest, seal) = self.write_files(&scratch)?;
                 file::sync_dir(&scratch)?;
+                remove(&root, &dir)?;
                 fs::rename(&scratch, &dir).map_err(io(&dir, "create"))?;
                 file::sync_dir(&root)?;
                 file::write(&dir, COMPLETE, seal.as_bytes())?;
@@ -176,7 +191,7 @@ impl Frozen {
             }
         };
         link_last(run_dir, tick)?;
-        retain(run_dir, tick, keep)?;
+        retain(run_dir, &life, keep)?;
         Ok(Saved { dir, manifest })
     }
 
@@ -186,9 +201,15 @@ impl Frozen {
         for (name, bytes) in &self.new {
             manifest.files.push(file::write(dir, name, bytes)?);
         }
-        for entry in self.linked {
-            file::link(&self.from, dir, &entry)?;
-            manifest.files.push(entry);
+        if let Some(earlier) = self.earlier.filter(|_| !self.linked.is_empty()) {
+            if !earlier.is_there() {
+                let message = "another checkpoint has taken its place while its segments were to be linked";
+                return Err(contents(&earlier.dir.join(MANIFEST))(message));
+            }
+            for entry in self.linked {
+                file::link(&earlier.dir, dir, &entry)?;
+                manifest.files.push(entry);
+            }
         }
         let bytes = manifest.encode().map_err(contents(&dir.join(MANIFEST)))?;
         file::write(dir, MANIFEST, &bytes)?;
@@ -221,13 +242,13 @@ fn link_last(run_dir: &Path, tick: u64) -> Result<(), CheckpointError> {
     file::sync_dir(run_dir)
 }
 
-/// Removes all checkpoints up to `tick` but the newest `keep` that have a COMPLETE.
-fn retain(run_dir: &Path, tick: u64, keep: usize) -> Result<(), CheckpointError> {
+/// Removes all checkpoints but the newest `keep` of the past of `life` that have a COMPLETE.
+fn retain(run_dir: &Path, life: &Life, keep: usize) -> Result<(), CheckpointError> {
     let root = run_dir.join(CHECKPOINTS_DIR);
     let mut kept = 0;
-    for tick in ticks(run_dir)?.into_iter().filter(|&other| other <= tick) {
+    for tick in ticks(run_dir)? {
         let dir = directory(run_dir, tick);
-        if kept < keep && dir.join(COMPLETE).exists() {
+        if kept < keep && manifest::read(&dir).is_ok_and(|found| life.knows(&found)) {
             kept += 1;
         } else {
             remove(&root, &dir)?;

@@ -12,6 +12,10 @@ static STEPS: AtomicU64 = AtomicU64::new(0);
 pub const BUSY: u8 = b'+';
 /// Sign of life of a process that has not.
 pub const IDLE: u8 = b'.';
+/// Besides: somebody has asked the process to leave, which is for the supervisor to decide.
+pub const ASKED: u8 = b'!';
+/// In the other direction: the supervisor's order to finish the work at hand and leave.
+pub const LEAVE: u8 = b'x';
 
 /// A piece of work is finished.
 #[inline]

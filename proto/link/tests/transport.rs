@@ -43,7 +43,17 @@ fn plan(run: u64) -> RunPlan {
         defines_success: true,
     };
     let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
-    RunPlan { run, config, spec, mentors, waypoints: None, resume_tick: None, restarts: 0, generation: 0 }
+    RunPlan {
+        run,
+        history: 0,
+        config,
+        spec,
+        mentors,
+        waypoints: None,
+        resume_tick: None,
+        restarts: 0,
+        generation: 0,
+    }
 }
 
 fn weights(version: u64) -> Vec<f32> {

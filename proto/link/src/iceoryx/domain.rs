@@ -1,17 +1,23 @@
-//! Where a run's shared resources lie, and how they are removed.
+//! Where a run's shared resources lie, who holds them, and how they are removed.
 //!
-//! A run has a root directory `/tmp/trestle-<uid>/<run>` (mode 0700; node and service files) and files in
-//! `/dev/shm` that begin with `trestle_<run>_` (mode 0600). The root holds a file `owner` with the supervisor's process id and
-//! start time, so that what a dead run left can be told from what a living one needs.
+//! Everything that a run shares is in `/dev/shm`: a root directory `trestle_<run>` (mode 0700; node and service files) and
+//! files whose names begin with `trestle_<run>_` (mode 0600). Nothing is in `/tmp`.
+//!
+//! The run's supervisor holds a lock (`flock`) on the root directory from before anybody can see it until its own end,
+//! however that comes. So a run is alive as long as its root is locked. This holds for every process that sees the same
+//! `/dev/shm`, also in a container with other processes and another `/tmp`. Of files without a root nobody can say whether
+//! they are needed; [`Liveness::Unknown`] is what to leave alone.
 
 use super::Ipc;
 use iceoryx2::prelude::{
     Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode,
 };
-use nix::unistd::{Uid, getuid};
-use std::fs;
+use nix::libc::{O_DIRECTORY, O_NOFOLLOW};
+use nix::unistd::getuid;
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::ops::Deref;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use trestle_proto::limits::MAX_ACTORS;
 
@@ -30,20 +36,6 @@ pub enum DomainError {
         /// What the system says.
         source: io::Error,
     },
-    /// Somebody else's directory under our name.
-    #[error(
-        "{path} belongs to user {owner}, with mode {mode:o}; accepted: a directory of user {user}, mode 700"
-    )]
-    Foreign {
-        /// The directory.
-        path: PathBuf,
-        /// Its owner.
-        owner: u32,
-        /// Its mode.
-        mode: u32,
-        /// This user.
-        user: u32,
-    },
     /// iceoryx2 could not start.
     #[error("cannot join the run's shared memory under {path}: {message}")]
     Node {
@@ -61,9 +53,41 @@ pub struct Domain {
     root: PathBuf,
 }
 
-/// The directory that holds the roots of all runs of this user.
-fn base() -> PathBuf {
-    PathBuf::from(format!("/tmp/trestle-{}", getuid()))
+/// What can be said of a run from its place among shared resources.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Liveness {
+    /// Its supervisor lives, here or in another container.
+    Alive,
+    /// Its supervisor is gone. That stays so.
+    Dead,
+    /// There is nothing of it, or nothing yet.
+    Absent,
+    /// There is something of it, but no lock that would tell.
+    Unknown,
+}
+
+/// The domain of a run of this process, which counts as alive as long as this is there. Then everything is removed.
+#[derive(Debug)]
+pub struct HeldDomain {
+    domain: Domain,
+    /// The root, locked. It is never unlocked but by its end, so that nobody sees the run die before it is removed.
+    _lock: File,
+}
+
+impl Deref for HeldDomain {
+    type Target = Domain;
+
+    fn deref(&self) -> &Domain {
+        &self.domain
+    }
+}
+
+impl Drop for HeldDomain {
+    fn drop(&mut self) {
+        if let Err(error) = self.domain.remove() {
+            tracing::error!("cannot remove what the run shared: {error}; `trestle doctor --fix` can");
+        }
+    }
 }
 
 fn io_error(path: &Path) -> impl FnOnce(io::Error) -> DomainError {
@@ -73,34 +97,30 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> DomainError {
 impl Domain {
     /// The domain of `run`, whether it exists or not.
     pub fn of(run: u64) -> Self {
-        Self { run, root: base().join(format!("{run:08x}")) }
+        Self { run, root: Path::new(SHM).join(format!("trestle_{run:08x}")) }
     }
 
-    /// Makes the root of a new run with this process as owner. `run` must not exist yet.
+    /// Makes the root of a new run, which this process holds. `run` must not exist yet.
     ///
     /// # Errors
-    /// The directory exists, cannot be made, or is another user's.
-    pub fn create(run: u64) -> Result<Self, DomainError> {
-        let base = base();
-        let mut private = fs::DirBuilder::new();
-        private.mode(0o700);
-        match private.create(&base) {
-            Err(e) if e.kind() != ErrorKind::AlreadyExists => return Err(io_error(&base)(e)),
-            _ => own(&base)?,
-        }
+    /// The directory exists or cannot be made.
+    pub fn create(run: u64) -> Result<HeldDomain, DomainError> {
         let domain = Self::of(run);
-        // Renamed into place with its owner inside, so that no one ever sees a living run without one; a run of the
-        // same identity is in the way of the renaming because its directory is not empty.
-        let pid = std::process::id();
-        let new = base.join(format!("new-{pid}-{run:08x}"));
-        private.create(&new).map_err(io_error(&new))?;
-        let stamp = format!("{pid} {}\n", start_time(pid).unwrap_or_default());
-        let made = fs::write(new.join("owner"), stamp).and_then(|()| fs::rename(&new, &domain.root));
-        if let Err(source) = made {
-            fs::remove_dir_all(&new).map_err(io_error(&new))?;
-            return Err(DomainError::Io { path: domain.root, source });
+        // Renamed into place when it is locked, so that no one ever sees a living run without a lock. A run of the same
+        // identity is in the way of the renaming because its directory is not empty.
+        let new = Path::new(SHM).join(format!("{}new", domain.prefix()));
+        fs::DirBuilder::new().mode(0o700).create(&new).map_err(io_error(&new))?;
+        let made = fs::write(new.join("owner"), format!("{}\n", std::process::id()))
+            .and_then(|()| open_directory(&new))
+            .and_then(|lock| lock.try_lock().map(|()| lock).map_err(io::Error::from))
+            .and_then(|lock| fs::rename(&new, &domain.root).map(|()| lock));
+        match made {
+            Ok(lock) => Ok(HeldDomain { domain, _lock: lock }),
+            Err(source) => {
+                fs::remove_dir_all(&new).map_err(io_error(&new))?;
+                Err(DomainError::Io { path: domain.root, source })
+            }
         }
-        Ok(domain)
     }
 
     /// The run's identity.
@@ -155,18 +175,38 @@ impl Domain {
         Ok(())
     }
 
-    /// Whether the process that made the run still lives.
-    pub fn is_alive(&self) -> bool {
-        let Ok(text) = fs::read_to_string(self.root.join("owner")) else { return false };
-        let mut fields = text.split_whitespace();
-        let (pid, started) = (fields.next().and_then(|p| p.parse().ok()), fields.next());
-        pid.is_some_and(|pid| start_time(pid).as_deref() == started)
+    /// What can be said of the run.
+    pub fn liveness(&self) -> Liveness {
+        let root = match open_directory(&self.root) {
+            Ok(root) => root,
+            Err(e) if e.kind() == ErrorKind::NotFound => {
+                return match own_shared_memory(&self.prefix()) {
+                    Ok(names) if names.is_empty() => Liveness::Absent,
+                    _ => Liveness::Unknown,
+                };
+            }
+            Err(_) => return Liveness::Unknown,
+        };
+        // What another user has put there under the run's name says nothing of the run.
+        if !root.metadata().is_ok_and(|meta| meta.uid() == getuid().as_raw()) {
+            return Liveness::Unknown;
+        }
+        match root.try_lock_shared() {
+            Ok(()) => Liveness::Dead,
+            Err(TryLockError::WouldBlock) => Liveness::Alive,
+            Err(TryLockError::Error(_)) => Liveness::Unknown,
+        }
     }
 
-    /// Whether there is something left of a run whose maker does not live. A run that is only just being made has no root, or
-    /// one with a living owner in it; so what this finds stays dead.
+    /// Whether the run's supervisor lives.
+    pub fn is_alive(&self) -> bool {
+        self.liveness() == Liveness::Alive
+    }
+
+    /// Whether there is something left of a run whose supervisor is gone. A run that is only just being made has no root, or a
+    /// locked one; so what this finds stays dead.
     pub fn is_dead(&self) -> bool {
-        self.root.exists() && !self.is_alive()
+        self.liveness() == Liveness::Dead
     }
 
     /// Removes the root and all files in `/dev/shm`; none of the run's processes may need them any more. What is
@@ -189,7 +229,8 @@ impl Domain {
 
     fn try_remove(&self) -> Result<(), DomainError> {
         for file in self.shared_memory()? {
-            match fs::remove_file(&file) {
+            let is_dir = fs::symlink_metadata(&file).is_ok_and(|meta| meta.is_dir());
+            match if is_dir { fs::remove_dir_all(&file) } else { fs::remove_file(&file) } {
                 Err(e) if e.kind() != ErrorKind::NotFound => return Err(io_error(&file)(e)),
                 _ => {}
             }
@@ -211,29 +252,23 @@ impl Domain {
     /// All runs of this user that have a root or a file in `/dev/shm`, living or dead, in ascending order.
     ///
     /// # Errors
-    /// A directory that cannot be listed, or somebody else's in the place of this user's.
+    /// `/dev/shm` cannot be listed.
     pub fn all() -> Result<Vec<Self>, DomainError> {
-        let mut runs = Vec::new();
-        let base = base();
-        // What a link leads to, or another user has made, is not to be removed as if it were a run's.
-        match own(&base) {
-            Err(DomainError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {}
-            Err(error) => return Err(error),
-            Ok(()) => {
-                for entry in fs::read_dir(&base).map_err(io_error(&base))? {
-                    let name = entry.map_err(io_error(&base))?.file_name();
-                    runs.extend(u64::from_str_radix(&name.to_string_lossy(), 16));
-                }
-            }
-        }
-        for name in own_shared_memory("trestle_")? {
+        let names = own_shared_memory("trestle_")?;
+        let run = |name: &String| {
             let run = name.strip_prefix("trestle_").and_then(|rest| rest.split('_').next());
-            runs.extend(run.and_then(|run| u64::from_str_radix(run, 16).ok()));
-        }
+            run.and_then(|run| u64::from_str_radix(run, 16).ok())
+        };
+        let mut runs: Vec<u64> = names.iter().filter_map(run).collect();
         runs.sort_unstable();
         runs.dedup();
         Ok(runs.into_iter().map(Self::of).collect())
     }
+}
+
+/// Opens a directory, and nothing that a link leads to.
+fn open_directory(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).custom_flags(O_DIRECTORY | O_NOFOLLOW).open(path)
 }
 
 /// The names of this user's files in `/dev/shm` that begin with `prefix`.
@@ -251,54 +286,59 @@ fn own_shared_memory(prefix: &str) -> Result<Vec<String>, DomainError> {
     Ok(names)
 }
 
-/// Refuses a directory that another user could have prepared or could look into.
-fn own(path: &Path) -> Result<(), DomainError> {
-    let meta = fs::symlink_metadata(path).map_err(io_error(path))?;
-    let (owner, mode, user) = (meta.uid(), meta.mode() & 0o777, getuid());
-    if meta.is_dir() && Uid::from_raw(owner) == user && mode == 0o700 {
-        return Ok(());
-    }
-    Err(DomainError::Foreign { path: path.into(), owner, mode, user: user.as_raw() })
-}
-
-/// When process `pid` started, in the kernel's clock ticks since boot (proc(5), `stat`, field 22); none if there is
-/// no such process, or if it has ended and its parent has not asked for its status yet (field 3). Tells a process from a
-/// later one with the same id.
-fn start_time(pid: u32) -> Option<String> {
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The second field is the command in parentheses and may itself contain blanks and parentheses.
-    let (_, fields) = stat.rsplit_once(')')?;
-    let mut fields = fields.split_whitespace();
-    fields.next().filter(|state| !["Z", "X"].contains(state))?;
-    fields.nth(18).map(String::from)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
+    // Process ids are at most 2^22, so no run of a user, which draws 32 bits, is likely to meet these.
+    fn identity(nth: u64) -> u64 {
+        u64::from(std::process::id()) << 32 | nth
+    }
+
     #[test]
-    fn a_domain_is_private_owned_and_leaves_nothing() {
-        // Process ids are at most 2^22, so no run of a user, which draws 32 bits, is likely to meet this one.
-        let run = u64::from(std::process::id()) << 32 | 1;
-        assert!(!Domain::of(run).is_dead(), "it may be about to be made");
+    fn a_domain_is_private_held_and_leaves_nothing() {
+        let run = identity(1);
+        assert_eq!(Domain::of(run).liveness(), Liveness::Absent, "it may be about to be made");
         let domain = Domain::create(run).unwrap();
-        assert!(!domain.is_dead());
         assert_eq!(fs::metadata(domain.root()).unwrap().mode() & 0o777, 0o700);
-        assert!(domain.is_alive());
+        assert_eq!(Domain::of(run).liveness(), Liveness::Alive);
         assert!(Domain::all().unwrap().contains(&domain));
-        assert!(matches!(Domain::create(domain.run()), Err(DomainError::Io { .. })));
-        fs::write(domain.root().join("owner"), format!("{} 1\n", std::process::id())).unwrap();
-        assert!(domain.is_dead() && !domain.is_alive(), "another process with the same id");
+        assert!(matches!(Domain::create(run), Err(DomainError::Io { .. })));
         let node = domain.node().unwrap();
         let files = domain.shared_memory().unwrap();
         assert!(!files.is_empty());
         assert!(files.iter().all(|file| fs::metadata(file).unwrap().mode() & 0o777 == 0o600), "{files:?}");
         drop(node);
+        drop(domain);
+        let domain = Domain::of(run);
+        assert_eq!(domain.liveness(), Liveness::Absent);
+        assert!(!domain.root().exists() && domain.shared_memory().unwrap().is_empty());
         domain.remove().unwrap();
-        assert!(!domain.root().exists());
-        assert!(domain.shared_memory().unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_lock_tells_the_living_from_the_dead_and_nothing_else_does() {
+        let domain = Domain::of(identity(2));
+        let file = Path::new(SHM).join(format!("{}file", domain.prefix()));
+        fs::write(&file, "").unwrap();
+        assert_eq!(
+            domain.liveness(),
+            Liveness::Unknown,
+            "it may be of a run that this version knows nothing of"
+        );
+        fs::create_dir(domain.root()).unwrap();
+        assert_eq!(domain.liveness(), Liveness::Dead);
+        let lock = open_directory(domain.root()).unwrap();
+        lock.try_lock().unwrap();
+        assert_eq!(domain.liveness(), Liveness::Alive);
+        drop(lock);
+        assert_eq!(domain.liveness(), Liveness::Dead);
         domain.remove().unwrap();
+        assert!(!file.exists());
+        // What lies there but is no directory of this user.
+        std::os::unix::fs::symlink("/", domain.root()).unwrap();
+        assert_eq!(domain.liveness(), Liveness::Unknown);
+        fs::remove_file(domain.root()).unwrap();
     }
 }

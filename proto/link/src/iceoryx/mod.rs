@@ -17,7 +17,7 @@ mod wake;
 mod wire;
 
 pub use actor::IceoryxActor;
-pub use domain::{Domain, DomainError};
+pub use domain::{Domain, DomainError, HeldDomain, Liveness};
 pub use learner::IceoryxLearner;
 pub use mentor::IceoryxMentor;
 pub use query::QueryClient;

@@ -1,0 +1,141 @@
+//! The lock that keeps every process but those of one run from writing into the run's directory.
+//!
+//! It is a lock on the directory itself (`flock`), which belongs to an open file and not to a process. The supervisor takes
+//! it and lets its learner, the only other process that writes there, inherit the open file. So it ends with the last of
+//! the two: a learner that outlives its supervisor, for however short a time, keeps the directory locked.
+
+use anyhow::{Context, Result, bail};
+use nix::unistd::dup;
+use std::fs::{self, File, TryLockError};
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+use trestle_link::iceoryx::Domain;
+use trestle_proto::limits::FENCE_WAIT;
+use trestle_proto::rundir::RunDir;
+
+/// Time between two looks at a lock that somebody else has.
+const LOOK: Duration = Duration::from_millis(20);
+/// Time after which the user is told what is waited for.
+const SILENCE: Duration = Duration::from_secs(1);
+
+/// The lock of a run's directory, until this is dropped and the learners that have inherited it are gone.
+#[derive(Debug)]
+pub(crate) struct Fence(Option<File>);
+
+impl Fence {
+    /// Takes the lock of the directory `root`. Where the processes of a dead run still have it, they get up to [`FENCE_WAIT`] to
+    /// end. Nobody is kept out where the file system knows no locks; then a warning says so.
+    ///
+    /// # Errors
+    /// A run is in progress in the directory, or a process of a former one has not ended in time.
+    pub(super) fn take(root: &Path) -> Result<Self> {
+        let dir = File::open(root).with_context(|| format!("cannot open {}", root.display()))?;
+        let (start, mut said) = (Instant::now(), false);
+        loop {
+            match dir.try_lock() {
+                Ok(()) => return Ok(Self(Some(dir))),
+                Err(TryLockError::WouldBlock) => {}
+                Err(TryLockError::Error(error)) => {
+                    tracing::warn!(
+                        "{} cannot be locked ({error}): see to it that no other run uses it",
+                        root.display()
+                    );
+                    return Ok(Self(None));
+                }
+            }
+            let alive = RunDir::new(root).read_plan().is_ok_and(|plan| Domain::of(plan.run).is_alive());
+            if alive || start.elapsed() >= FENCE_WAIT {
+                bail!(
+                    "{}: a run is in progress there, held by {}; accepted: another --out, or to wait for its end",
+                    root.display(),
+                    holders(&dir)
+                );
+            }
+            if start.elapsed() >= SILENCE && !said {
+                said = true;
+                crate::output::say(&format!("waiting for the end of {}", holders(&dir)));
+            }
+            sleep(LOOK);
+        }
+    }
+
+    /// Whether the lock is held: not where the file system knows none.
+    pub(super) fn holds(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// The lock for a process that is started while this descriptor is open: unlike others, it is inherited.
+    pub(crate) fn inheritable(&self) -> Result<Option<OwnedFd>> {
+        // A duplicate is not closed when another program begins.
+        self.0.as_ref().map(dup).transpose().context("cannot hand on the lock of the run's directory")
+    }
+}
+
+/// Who has the lock of `dir`, as far as can be seen from here.
+fn holders(dir: &File) -> String {
+    let Ok(wanted) = dir.metadata() else { return "an unknown process".into() };
+    let mut found: Vec<String> = Vec::new();
+    for process in fs::read_dir("/proc").into_iter().flatten().flatten() {
+        let name = process.file_name().to_string_lossy().into_owned();
+        let path = process.path();
+        if name.parse::<u32>().is_ok() && holds(&path, &wanted) {
+            found.push(format!("{} (process {name})", role(&path)));
+        }
+    }
+    if found.is_empty() {
+        return "a process of another container, user or host".into();
+    }
+    found.join(" and ")
+}
+
+/// Whether the process that `/proc` shows at `process` has an open file of the directory `wanted` with a lock on it.
+fn holds(process: &Path, wanted: &fs::Metadata) -> bool {
+    fs::read_dir(process.join("fd")).into_iter().flatten().flatten().any(|descriptor| {
+        let same = fs::metadata(descriptor.path())
+            .is_ok_and(|found| (found.dev(), found.ino()) == (wanted.dev(), wanted.ino()));
+        let info = || fs::read_to_string(process.join("fdinfo").join(descriptor.file_name()));
+        same && info().is_ok_and(|info| info.contains("FLOCK"))
+    })
+}
+
+/// What the process does, by its subcommand.
+fn role(process: &Path) -> String {
+    let line = fs::read(process.join("cmdline")).unwrap_or_default();
+    match line.split(|byte| *byte == 0).nth(1) {
+        Some(b"train" | b"sweep") => "the supervisor".into(),
+        Some(b"learner" | b"orphaned") => "the learner".into(),
+        _ => "a program".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::process::{Command, Stdio};
+
+    #[test]
+    fn the_lock_is_inherited_and_ends_with_the_last_who_has_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let fence = Fence::take(dir.path()).unwrap();
+        let other = File::open(dir.path()).unwrap();
+        assert!(matches!(other.try_lock(), Err(TryLockError::WouldBlock)));
+        let handed_on = fence.inheritable().unwrap();
+        let mut heir = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        drop(handed_on);
+        let mut stranger = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let own = holders(&other);
+        assert!(own.contains(&format!("process {}", std::process::id())), "{own}");
+        drop(fence);
+        assert!(matches!(other.try_lock(), Err(TryLockError::WouldBlock)));
+        assert_eq!(holders(&other), format!("a program (process {})", heir.id()));
+        drop(heir.stdin.take());
+        heir.wait().unwrap();
+        other.try_lock().unwrap();
+        stranger.kill().unwrap();
+        stranger.wait().unwrap();
+    }
+}
