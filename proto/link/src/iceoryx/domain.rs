@@ -188,7 +188,7 @@ impl Domain {
             Err(_) => return Liveness::Unknown,
         };
         // What another user has put there under the run's name says nothing of the run.
-        if !root.metadata().is_ok_and(|meta| meta.uid() == getuid().as_raw()) {
+        if !root.metadata().is_ok_and(|meta| is_own(&meta)) {
             return Liveness::Unknown;
         }
         match root.try_lock_shared() {
@@ -235,6 +235,10 @@ impl Domain {
                 _ => {}
             }
         }
+        // Whatever else lies there under the run's name is none of this user's run.
+        if !fs::symlink_metadata(&self.root).is_ok_and(|meta| meta.is_dir() && is_own(&meta)) {
+            return Ok(());
+        }
         match fs::remove_dir_all(&self.root) {
             Err(e) if e.kind() != ErrorKind::NotFound => Err(io_error(&self.root)(e)),
             _ => Ok(()),
@@ -266,6 +270,11 @@ impl Domain {
     }
 }
 
+/// Whether a file is this user's.
+fn is_own(meta: &fs::Metadata) -> bool {
+    meta.uid() == getuid().as_raw()
+}
+
 /// Opens a directory, and nothing that a link leads to.
 fn open_directory(path: &Path) -> io::Result<File> {
     OpenOptions::new().read(true).custom_flags(O_DIRECTORY | O_NOFOLLOW).open(path)
@@ -279,7 +288,7 @@ fn own_shared_memory(prefix: &str) -> Result<Vec<String>, DomainError> {
         let entry = entry.map_err(io_error(shm))?;
         let name = entry.file_name().to_string_lossy().into_owned();
         // A file that vanished meanwhile belongs to a run that is ending.
-        if name.starts_with(prefix) && entry.metadata().is_ok_and(|m| m.uid() == getuid().as_raw()) {
+        if name.starts_with(prefix) && entry.metadata().is_ok_and(|meta| is_own(&meta)) {
             names.push(name);
         }
     }
@@ -339,6 +348,7 @@ mod tests {
         // What lies there but is no directory of this user.
         std::os::unix::fs::symlink("/", domain.root()).unwrap();
         assert_eq!(domain.liveness(), Liveness::Unknown);
+        domain.remove().unwrap();
         fs::remove_file(domain.root()).unwrap();
     }
 }
