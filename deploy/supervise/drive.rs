@@ -7,6 +7,7 @@ use super::signals::{Request, Signals};
 use super::watch::{Action, End, Event, Reach, State, step};
 use super::{Ended, Report, final_error};
 use anyhow::{Context, Result, anyhow};
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval_at, sleep_until};
@@ -38,8 +39,18 @@ pub(super) async fn watch(
     // Beats that this process has missed are nobody's silence.
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let reap = interval_at(now + REAP, REAP);
-    let mut watch =
-        Watch { children, inbox, signals, display, replacing, beat, reap, suspects: Vec::new(), blame: now };
+    let mut watch = Watch {
+        children,
+        inbox,
+        signals,
+        display,
+        replacing,
+        beat,
+        reap,
+        faulty: VecDeque::new(),
+        suspects: Vec::new(),
+        blame: now,
+    };
     let mut state = State::Starting;
     loop {
         let (event, mut matter) = watch.next().await?;
@@ -66,6 +77,8 @@ struct Watch<'a, 'b> {
     replacing: &'a mut Replacing<'b>,
     beat: Interval,
     reap: Interval,
+    /// The processes that count as dead since the last beat.
+    faulty: VecDeque<Death>,
     /// The processes that have ended because they lost another one.
     suspects: Vec<Death>,
     /// When they are to blame themselves, if there are any.
@@ -76,20 +89,16 @@ impl Watch<'_, '_> {
     /// Waits for the next event.
     async fn next(&mut self) -> Result<(Event, Matter)> {
         loop {
+            if let Some(death) = self.faulty.pop_front() {
+                return Ok((Event::Faulty(self.reach(&death)), Matter::Deaths(vec![death])));
+            }
             let request = tokio::select! {
                 _ = self.reap.tick() => return Ok((Event::Reap, Matter::None)),
                 () = self.replacing.next() => return Ok((Event::Due, Matter::None)),
                 () = sleep_until(self.blame), if !self.suspects.is_empty() => return Ok(self.blame()),
                 request = self.signals.next() => Some(request),
                 _ = self.beat.tick() => {
-                    let (asked, faulty) = self.signs_of_life();
-                    let request = if asked { self.signals.passed_on() } else { None };
-                    // A fault is found again at the next beat.
-                    if let (None, Some(death)) = (request, faulty) {
-                        let event = Event::Faulty(self.reach(&death));
-                        return Ok((event, Matter::Deaths(vec![death])));
-                    }
-                    request
+                    if self.signs_of_life() { self.signals.passed_on() } else { None }
                 }
                 report = self.inbox.recv() => match report {
                     Some(Report::Progress(progress)) => {
@@ -123,16 +132,17 @@ impl Watch<'_, '_> {
         }
     }
 
-    /// Takes in all signs of life: whether a process was asked to leave, and one that counts as dead, if there is any.
-    fn signs_of_life(&mut self) -> (bool, Option<Death>) {
+    /// Takes in all signs of life, and notes who counts as dead. Returns whether a process was asked to leave.
+    fn signs_of_life(&mut self) -> bool {
         let deadlines = &self.replacing.plan().config.supervise;
-        let (mut asked, mut faulty) = (false, None);
+        let mut asked = false;
         for child in self.children.iter_mut().filter(|child| child.running && child.fault.is_none()) {
             let signs = child.line.beat(deadlines);
             asked |= signs.asked;
-            faulty = faulty.or(signs.fault.map(|fault| (child.role, fault)));
+            let death = signs.fault.map(|fault| self.replacing.death(child.role, How::Lingering(fault)));
+            self.faulty.extend(death);
         }
-        (asked, faulty.map(|(role, fault)| self.replacing.death(role, How::Lingering(fault))))
+        asked
     }
 
     /// What the end of a process is, if it is worth mention.
