@@ -24,6 +24,7 @@ pub(crate) fn read_plan(dir: &RunDir) -> Result<RunPlan> {
     (config.exploration.guide_start, config.exploration.guide_end) = (0.0, 0.0);
     let spec = registry().build(&config.env)?.spec().clone();
     Ok(RunPlan {
+        history: 0,
         run: 0,
         config,
         spec,

@@ -97,7 +97,7 @@ fn plan(sets: &[&str]) -> RunPlan {
     registry().resolve(&mut config.env, 0).unwrap();
     let spec = registry().build(&config.env).unwrap().spec().clone();
     let (mentors, waypoints, resume_tick) = (Vec::new(), None, None);
-    RunPlan { run: 1, config, spec, mentors, waypoints, resume_tick, restarts: 0, generation: 0 }
+    RunPlan { run: 1, history: 0, config, spec, mentors, waypoints, resume_tick, restarts: 0, generation: 0 }
 }
 
 #[test]
@@ -144,7 +144,17 @@ fn a_threshold_defines_success_where_the_environment_does_not() {
     config.eval.tolerance = 1.0;
     let spec = Balance::new(&Settings::default(), &config::Env::default()).unwrap().spec;
     let (mentors, waypoints, resume_tick) = (Vec::new(), None, None);
-    let plan = RunPlan { run: 1, config, spec, mentors, waypoints, resume_tick, restarts: 0, generation: 0 };
+    let plan = RunPlan {
+        run: 1,
+        history: 0,
+        config,
+        spec,
+        mentors,
+        waypoints,
+        resume_tick,
+        restarts: 0,
+        generation: 0,
+    };
     let success = plan.success();
     assert_eq!([3.9, 4.0, 5.0].map(|total| success.of(true, total)), [Some(false), Some(true), Some(true)]);
 }
