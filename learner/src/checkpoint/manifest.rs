@@ -14,6 +14,8 @@ use trestle_proto::plan::RunPlan;
 
 /// Version of the layout of checkpoints: any change raises it.
 pub const FORMAT: u32 = 5;
+/// The oldest layout that can be read. Checkpoints of 4 do not say whose they are, so no run goes on from them.
+const OLDEST: u32 = 4;
 /// Largest MANIFEST or COMPLETE that is read, bytes.
 const MAX_BYTES: u64 = 1 << 16;
 
@@ -40,8 +42,10 @@ pub struct Manifest {
     /// The tick after which it was taken.
     pub tick: u64,
     /// The history of the run that it belongs to, 16 hexadecimal digits ([`RunPlan::history`]).
+    #[serde(default)]
     pub history: String,
     /// Which learner of that history wrote it ([`RunPlan::generation`]).
+    #[serde(default)]
     pub generation: u16,
     /// [`fingerprint`] of the run's plan.
     pub configuration: String,
@@ -127,8 +131,9 @@ impl Manifest {
 
     fn check(&self, path: &Path) -> Result<(), CheckpointError> {
         let refuse = |message: String| Err(contents(path)(message));
-        if self.format != FORMAT {
-            return refuse(format!("format {} of version {}; accepted: {FORMAT}", self.format, self.version));
+        if !(OLDEST..=FORMAT).contains(&self.format) {
+            let (format, version) = (self.format, &self.version);
+            return refuse(format!("format {format} of version {version}; accepted: {OLDEST} to {FORMAT}"));
         }
         for (at, entry) in self.files.iter().enumerate() {
             let name = entry.name.as_str();

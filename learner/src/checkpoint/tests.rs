@@ -402,3 +402,23 @@ fn checkpoints_tell_whose_they_are_where_the_plan_is_lost() {
     assert_eq!(newest_life(dir.path(), &unknown).unwrap(), life(3, 6));
     assert_eq!(newest_life(&dir.path().join("none"), &unknown).unwrap(), None);
 }
+
+/// What an earlier version has left can be looked at, and not gone on from.
+#[test]
+fn a_checkpoint_that_does_not_say_whose_it_is_gives_its_weights_alone() {
+    let plan = plan(&[]);
+    let (dir, agent) = run(&plan, &[6]);
+    let checkpoint = directory(dir.path(), 6);
+    let text = fs::read_to_string(checkpoint.join(MANIFEST)).unwrap();
+    let mut manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let fields = manifest.as_object_mut().unwrap();
+    fields["format"] = 4.into();
+    assert!(fields.remove("history").is_some() && fields.remove("generation").is_some());
+    let text = manifest.to_string();
+    fs::write(checkpoint.join(MANIFEST), &text).unwrap();
+    fs::write(checkpoint.join(COMPLETE), manifest::seal(text.as_bytes())).unwrap();
+    assert_eq!(load_model(&checkpoint, agent.network().layout()).unwrap(), agent.weights());
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 6);
+    assert_eq!(newest_resumable(dir.path(), &plan).unwrap(), None);
+    assert_eq!(newest_life(dir.path(), &plan).unwrap(), None);
+}
