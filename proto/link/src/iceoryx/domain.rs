@@ -5,8 +5,8 @@
 //!
 //! The run's supervisor holds a lock (`flock`) on the root directory from before anybody can see it until its own end,
 //! however that comes. So a run is alive as long as its root is locked. This holds for every process that sees the same
-//! `/dev/shm`, also in a container with other processes and another `/tmp`. Of files without a root nobody can say whether
-//! they are needed; [`Liveness::Unknown`] is what to leave alone.
+//! `/dev/shm`, also in a container with other processes and another `/tmp`. Files without a root may still be needed, and
+//! no process can tell. They are [`Liveness::Unknown`], and must be left alone.
 
 use super::Ipc;
 use iceoryx2::prelude::{
@@ -41,7 +41,7 @@ pub enum DomainError {
     Node {
         /// The run's root.
         path: PathBuf,
-        /// What it says.
+        /// Its message.
         message: String,
     },
 }
@@ -53,7 +53,7 @@ pub struct Domain {
     root: PathBuf,
 }
 
-/// What can be said of a run from its place among shared resources.
+/// The state of a run, as its place among shared resources shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Liveness {
     /// Its supervisor lives, here or in another container.
@@ -70,7 +70,7 @@ pub enum Liveness {
 #[derive(Debug)]
 pub struct HeldDomain {
     domain: Domain,
-    /// The root, locked. It is never unlocked but by its end, so that nobody sees the run die before it is removed.
+    /// The root, locked. Only the end of this value unlocks it, so that no process sees the run die before it is removed.
     _lock: File,
 }
 
@@ -133,7 +133,7 @@ impl Domain {
         &self.root
     }
 
-    /// What the names of its files in `/dev/shm` begin with.
+    /// The beginning of the names of its files in `/dev/shm`.
     pub fn prefix(&self) -> String {
         format!("trestle_{:08x}_", self.run)
     }
@@ -167,7 +167,7 @@ impl Domain {
                 _ => fs::set_permissions(&file, fs::Permissions::from_mode(0o600)),
             });
             match closed {
-                // What has gone meanwhile belongs to a process that is leaving.
+                // A file that has gone meanwhile belongs to a process that is leaving.
                 Err(e) if e.kind() != ErrorKind::NotFound => return Err(io_error(&file)(e)),
                 _ => {}
             }
@@ -175,7 +175,7 @@ impl Domain {
         Ok(())
     }
 
-    /// What can be said of the run.
+    /// The state of the run.
     pub fn liveness(&self) -> Liveness {
         let root = match open_directory(&self.root) {
             Ok(root) => root,
@@ -187,7 +187,7 @@ impl Domain {
             }
             Err(_) => return Liveness::Unknown,
         };
-        // What another user has put there under the run's name says nothing of the run.
+        // Another user's file under the run's name says nothing about the run.
         if !root.metadata().is_ok_and(|meta| is_own(&meta)) {
             return Liveness::Unknown;
         }
@@ -204,12 +204,12 @@ impl Domain {
     }
 
     /// Whether there is something left of a run whose supervisor is gone. A run that is only just being made has no root, or a
-    /// locked one; so what this finds stays dead.
+    /// locked one; so a dead run stays dead.
     pub fn is_dead(&self) -> bool {
         self.liveness() == Liveness::Dead
     }
 
-    /// Removes the root and all files in `/dev/shm`; none of the run's processes may need them any more. What is
+    /// Removes the root and all files in `/dev/shm`; none of the run's processes may need them any more. A file that is
     /// already gone is no error: several processes may be removing the same run.
     pub fn remove(&self) -> Result<(), DomainError> {
         let mut attempts = 0;
@@ -235,7 +235,7 @@ impl Domain {
                 _ => {}
             }
         }
-        // Whatever else lies there under the run's name is none of this user's run.
+        // Anything else under the run's name is no part of this user's run.
         if !fs::symlink_metadata(&self.root).is_ok_and(|meta| meta.is_dir() && is_own(&meta)) {
             return Ok(());
         }
@@ -245,8 +245,8 @@ impl Domain {
         }
     }
 
-    /// The run's files in `/dev/shm`, sorted. Files of other users are none of this user's run, whatever their names:
-    /// root, who may remove them, could otherwise take the living run of another for what is left of a dead one of its own.
+    /// The run's files in `/dev/shm`, sorted. Another user's file is never part of this user's run, even if its name fits.
+    /// Root may remove any file, and could otherwise take another user's living run for the remains of a dead run of root's.
     pub fn shared_memory(&self) -> Result<Vec<PathBuf>, DomainError> {
         let mut files = own_shared_memory(&self.prefix())?;
         files.sort();
@@ -345,7 +345,7 @@ mod tests {
         assert_eq!(domain.liveness(), Liveness::Dead);
         domain.remove().unwrap();
         assert!(!file.exists());
-        // What lies there but is no directory of this user.
+        // Something lies there that is no directory of this user.
         std::os::unix::fs::symlink("/", domain.root()).unwrap();
         assert_eq!(domain.liveness(), Liveness::Unknown);
         domain.remove().unwrap();
