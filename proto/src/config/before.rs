@@ -12,16 +12,15 @@ const REMOVED: [(&str, &str); 1] = [("supervise", "one_cpu")];
 
 /// Gives `config` today's form if it has the former one.
 pub(super) fn translate(config: &mut Table) {
-    // Only what is written in the former form has them.
-    if !config.get("env").is_some_and(|env| env.get("kind").is_some()) {
+    // Without it, a file that leaves the environment to its base or to the default reads the same in either form.
+    let Some(Value::String(kind)) = config.get("env").and_then(|env| env.get("kind")).cloned() else {
         return;
-    }
+    };
     for (table, key) in REMOVED {
         config.get_mut(table).and_then(Value::as_table_mut).map(|table| table.remove(key));
     }
     let Some(Value::Table(env)) = config.get_mut("env") else { return };
-    // Then the default of `kind` was `maze`. An unresolved file without it reads the same in either form.
-    let Some(Value::String(kind)) = env.remove("kind") else { return };
+    env.remove("kind");
     // An environment's table had its name with underscores; where it had one, it wins over `[env]`.
     let table = kind.replace('-', "_");
     let mut own = Table::new();
