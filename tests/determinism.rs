@@ -107,7 +107,7 @@ fn stopping_when_solved() {
 #[test]
 fn plain_learning_the_paper_variants_and_ours() {
     let place = Place::new();
-    let variants: [&[&str]; 7] = [
+    let variants: [&[&str]; 9] = [
         &["--algo", "dqn"],
         &["--algo", "diiqn", "--actors", "2"],
         &["--set", "mentor.selection=confidence", "--set", "learner.target=hard"],
@@ -122,6 +122,17 @@ fn plain_learning_the_paper_variants_and_ours() {
         &["--set", "mentor.combine=beside", "--set", "mentor.one_sided=true", "--actors", "2"],
         &["--set", "mentor.selection=always", "--set", "mentor.draw=uniform", "--set", "run.lag=1"],
         &["--algo", "dqn", "--set", "shaping.potential=2"],
+        &[
+            "--actors",
+            "3",
+            "--set",
+            "learner.n_step=5",
+            "--set",
+            "run.rollout=7",
+            "--set",
+            "learner.replay=1000",
+        ],
+        &["--algo", "dqn", "--set", "learner.n_step=3", "--set", "shaping.potential=2"],
     ];
     for (i, variant) in variants.iter().enumerate() {
         let args = [&["maze-small", "--env-steps", "4000", "--seed", "2"], *variant].concat();

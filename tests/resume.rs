@@ -73,6 +73,12 @@ fn two_actors_with_lag() {
     survives(&["--actors", "2", "--set", "run.lag=1"]);
 }
 
+/// The replay has gone round before the interruption, so that paths of a restored one cross its seam.
+#[test]
+fn several_steps_ahead() {
+    survives(&["--actors", "2", "--set", "learner.n_step=5", "--set", "learner.replay=3000"]);
+}
+
 #[test]
 fn a_guide_with_lag() {
     survives(&["--actors", "2", "--set", "run.lag=1", "--set", "exploration.guide_end=0.5"]);

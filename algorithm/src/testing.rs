@@ -72,12 +72,35 @@ pub(crate) struct World {
     /// The table that the mentor-server would have.
     table: AnnotationTable,
     plan: RunPlan,
+    /// Where each actor is, while its episode lasts.
+    places: Vec<Option<[f32; 2]>>,
+    /// All transitions of each actor, in order.
+    pub(crate) walked: Vec<Vec<Walked>>,
+}
+
+/// A transition that was made up.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Walked {
+    pub(crate) obs: [f32; 2],
+    pub(crate) next_obs: [f32; 2],
+    pub(crate) action: u32,
+    pub(crate) reward: f32,
+    pub(crate) flags: u32,
+}
+
+impl Walked {
+    pub(crate) fn transition(&self) -> Transition<'_> {
+        let Self { obs, next_obs, action, reward, flags } = self;
+        Transition { obs, next_obs, action: *action, reward: *reward, flags: *flags }
+    }
 }
 
 impl World {
     pub(crate) fn new(plan: &RunPlan, seed: u64) -> Self {
         let table = AnnotationTable::new(plan.mentor_len(), 2, N_ACTIONS as usize);
-        Self { rng: Stream::seed_from_u64(seed), table, plan: plan.clone() }
+        let actors = plan.config.run.actors as usize;
+        let (places, walked) = (vec![None; actors], vec![Vec::new(); actors]);
+        Self { rng: Stream::seed_from_u64(seed), table, plan: plan.clone(), places, walked }
     }
 
     fn state(&mut self) -> [f32; 2] {
@@ -89,16 +112,21 @@ impl World {
         let mut batch = Batch::default();
         batch.prepare(BatchHeader { actor, count, obs_dim: 2, ..BatchHeader::default() });
         for index in 0..count as usize {
-            let (obs, next_obs) = (self.state(), self.state());
-            let flags = match self.rng.random_range(0..10) {
+            let place = self.places[actor as usize].filter(|_| self.rng.random_range(0..10) > 0);
+            let obs = place.unwrap_or_else(|| self.state());
+            let next_obs = self.state();
+            let ends = match self.rng.random_range(0..10) {
                 0 => TERMINATED,
                 1 => TRUNCATED,
-                2 => FIRST,
                 _ => 0,
             };
+            let flags = ends | if place.is_none() { FIRST } else { 0 };
             let action = self.rng.random_range(0..N_ACTIONS);
             let reward = self.rng.random_range(-3..=3) as f32 * 0.5;
-            batch.set(index, &Transition { obs: &obs, next_obs: &next_obs, action, reward, flags });
+            let walked = Walked { obs, next_obs, action, reward, flags };
+            batch.set(index, &walked.transition());
+            self.walked[actor as usize].push(walked);
+            self.places[actor as usize] = (ends == 0).then_some(next_obs);
         }
         let observed = (self.plan.mentor_len() > 0).then(|| self.answer(count));
         (batch, observed)

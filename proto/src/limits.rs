@@ -16,6 +16,8 @@ pub const MAX_SIZES: usize = 8;
 pub const MAX_WIDTH: usize = 4096;
 /// Most transitions in the replay.
 pub const MAX_REPLAY: usize = 100_000_000;
+/// Most steps that a target looks ahead (`learner.n_step`).
+pub const MAX_N_STEP: usize = 64;
 /// Most transitions in a demonstration.
 pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
 /// Most demonstrations that a run learns from.

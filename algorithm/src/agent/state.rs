@@ -127,6 +127,7 @@ impl Agent {
             mentor.used.copy_from_slice(&state.used);
             mentor.searches_cut_short = state.searches_cut_short;
         }
+        self.replay.relink();
         self.network.load(&parts.online, &parts.target)?;
         self.acting[..n_params].copy_from_slice(&parts.online);
         (0..mentor_len).for_each(|j| self.renew_guide(j));

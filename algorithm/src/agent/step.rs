@@ -7,7 +7,8 @@
 
 use super::{AgentError, MentorSide, Selection, Settings, TrainStats};
 use crate::losses::{
-    Distances, MentorKind, MentorRule, Weights, acts, mentor_term, min_distance, next_value, target_value,
+    Distances, MentorKind, MentorRule, Weights, acts, mentor_term, min_distance, n_step, next_value,
+    target_value,
 };
 use crate::replay::Replay;
 use crate::shaping::Shaping;
@@ -53,10 +54,13 @@ pub(super) struct Term {
     pub(super) weight: f32,
     /// Whether this is an L_m; the term before it is its sample's L_o.
     mentor: bool,
+    /// The reward, or the discounted sum of n steps' rewards.
     reward: f32,
+    /// The weight of the next state's value: γ, or γ^m after m steps.
+    discount: f32,
     /// Row of the next state; none where that is terminal.
     next: Option<usize>,
-    /// r + γ V(s').
+    /// reward + discount * V(s').
     pub(super) target: f32,
 }
 
@@ -262,13 +266,21 @@ impl Step {
             let own = &entry.transition;
             // A one-sided L_m may yet leave its weight to L_o.
             if weights.own > 0.0 || settings.one_sided {
-                let next = (!own.terminated()).then(|| self.next.push(encoding, own.next_obs));
+                let mut last = sample.slot;
+                let path = replay.path(sample.slot, settings.learner.n_step).inspect(|&slot| last = slot);
+                let reward = |slot| {
+                    replay.get(slot).transition.reward + shaping.map_or(0.0, |shaping| shaping.added(slot))
+                };
+                let (reward, discount) = n_step(settings.gamma, path.map(reward));
+                let end = replay.get(last).transition;
+                let next = (!end.terminated()).then(|| self.next.push(encoding, end.next_obs));
                 self.terms.push(Term {
                     row: sample.row,
                     action: sample.action,
                     weight: weights.own,
                     mentor: false,
-                    reward: own.reward + shaping.map_or(0.0, |shaping| shaping.added(sample.slot)),
+                    reward,
+                    discount,
                     next,
                     target: 0.0,
                 });
@@ -288,6 +300,7 @@ impl Step {
                     weight: weights.mentor,
                     mentor: true,
                     reward: term.reward,
+                    discount: settings.gamma,
                     next,
                     target: 0.0,
                 });
@@ -379,7 +392,7 @@ impl Step {
                 let online = double.then(|| values(&self.q_online, row, n_actions));
                 next_value(values(&self.q_target, row, n_actions), online)
             });
-            term.target = target_value(term.reward, settings.gamma, next);
+            term.target = target_value(term.reward, term.discount, next);
         }
         if settings.one_sided {
             self.drop_lower_targets();

@@ -7,6 +7,8 @@
 //! * L_m = ℓ(Q(s_m, a_feas; θ), y_feas) for a bridged one, (6);
 //! * an infeasible mentor transition without a bridge has no L_m.
 //!
+//! With `learner.n_step` above 1 (not the paper's) y_o looks several steps ahead; y_m and y_feas never do.
+//!
 //! [`target`] computes y, [`mentor`] finds a_m and the next state, [`selection`] weighs L_o against L_m.
 
 pub mod mentor;
@@ -15,4 +17,4 @@ pub mod target;
 
 pub use mentor::{MentorKind, MentorRule, MentorTerm, mentor_term};
 pub use selection::{Confidence, Distances, Weights, acts, min_distance};
-pub use target::{next_value, target_value};
+pub use target::{n_step, next_value, target_value};

@@ -225,7 +225,7 @@ impl Replay {
     }
 
     /// Begins to read a replay with the same capacity and `obs_dim` back: all entries get their past values, and are
-    /// otherwise blank. All of `from` must be used up.
+    /// otherwise blank. After the last segment [`Replay::relink`] is due. All of `from` must be used up.
     ///
     /// # Errors
     /// Anything that [`Replay::head`] would not have given.
@@ -298,6 +298,7 @@ impl Replay {
         self.q_past_m.resize(len, f32::NAN);
         self.flags.resize(len, 0);
         self.actor.resize(len, 0);
+        self.links.blank(len);
     }
 
     /// Checks all that the rest of the program relies on. Past values may be anything: NaN means "never computed".

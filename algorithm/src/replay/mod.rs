@@ -4,16 +4,20 @@
 //! *slot* `global index % capacity`. A transition keeps its own copy of s' although it mostly equals the next
 //! one's s: at the ends of episodes, at the seams between actors and at the ring's seam there is no such next
 //! one, and without the exceptions a sample is two plain reads. At 4 features the copy costs 16 of
-//! [`bytes_per_transition`]'s 54 bytes.
+//! [`bytes_per_transition`]'s 58 bytes.
 //!
 //! Beside the observer's transition an entry holds the index of the similar mentor transition that was picked for
 //! it and both past Q-values of (4) and (5). The mentor transition's annotation is *not* copied: it is looked up
 //! when the entry is sampled, so that training sees the newest one (our choice).
+//!
+//! Every entry also knows its *successor*, the same actor's next transition of the same episode: see [`links`].
 
 mod file;
+mod links;
 
 pub use file::{Bounds, ReplayFileError, Span};
 
+use links::Links;
 use rand::RngCore;
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, Transition};
@@ -24,8 +28,8 @@ const _: () = assert!(MAX_ACTORS <= 256);
 
 /// Bytes that one transition with `obs_dim` features takes in the replay.
 pub const fn bytes_per_transition(obs_dim: usize) -> usize {
-    // s, s'; action, reward, mentor index, two past values; flags, actor.
-    4 * (2 * obs_dim + 5) + 2
+    // s, s'; action, reward, mentor index, two past values, link; flags, actor.
+    4 * (2 * obs_dim + 6) + 2
 }
 
 /// A replay that does not fit into memory.
@@ -72,6 +76,7 @@ pub struct Replay {
     q_past_m: Vec<f32>,
     flags: Vec<u8>,
     actor: Vec<u8>,
+    links: Links,
 }
 
 impl Replay {
@@ -104,6 +109,7 @@ impl Replay {
             q_past_m: room(capacity).ok_or_else(fault)?,
             flags: room(capacity).ok_or_else(fault)?,
             actor: room(capacity).ok_or_else(fault)?,
+            links: Links::new(room(capacity).ok_or_else(fault)?),
         })
     }
 
@@ -153,7 +159,6 @@ impl Replay {
     pub fn push(&mut self, transition: &Transition<'_>, actor: u32, mentor: u32) -> usize {
         let (slot, d) = (self.slot(self.pushed), self.obs_dim);
         let (flags, actor) = (transition.flags as u8, actor as u8);
-        self.pushed += 1;
         if slot == self.len() {
             self.obs.extend_from_slice(transition.obs);
             self.next.extend_from_slice(transition.next_obs);
@@ -175,6 +180,8 @@ impl Replay {
             self.flags[slot] = flags;
             self.actor[slot] = actor;
         }
+        self.pushed += 1;
+        self.link(self.pushed - 1);
         slot
     }
 

@@ -136,6 +136,35 @@ proptest! {
         }
     }
 
+    /// Paths against a walk through the plain list of all that was ever stored, before and after a checkpoint.
+    #[test]
+    fn paths_are_those_of_the_whole_history(
+        capacity in 1usize..40, most in 1usize..7, steps in prop::collection::vec(step(), 1..120),
+    ) {
+        let history = histories(&steps);
+        let (mut replay, _) = filled(capacity, &history);
+        for again in [false, true] {
+            if again {
+                let (head, segments) = (replay.head(), files(&replay, &Files::new()));
+                read(&mut replay, &head, &segments).unwrap();
+                replay.relink();
+            }
+            for index in replay.first_index()..replay.next_index() {
+                let path: Vec<usize> = replay.path(replay.slot(index), most).collect();
+                let expected = naive_path(&history, index as usize, most);
+                let expected: Vec<usize> = expected.into_iter().map(|i| replay.slot(i as u64)).collect();
+                prop_assert_eq!(path, expected);
+            }
+        }
+        // What comes after a checkpoint is linked to what came before.
+        let last = history.last().unwrap();
+        let more = Plain { obs: last.next, flags: 0, ..last.clone() };
+        let slot = replay.push(&more.transition(), more.actor, more.mentor);
+        let before = (slot + capacity - 1) % capacity;
+        let follows = capacity > 1 && last.flags & (TERMINATED | TRUNCATED) == 0;
+        prop_assert_eq!(replay.successor(before), follows.then_some(slot));
+    }
+
     /// Segments and head together are the replay, wherever the segments come from.
     #[test]
     fn files_give_it_back(
@@ -198,6 +227,43 @@ proptest! {
         spans.insert(which, removed);
         prop_assert!(replay.check_segments(&spans).is_err());
     }
+}
+
+/// Who steps, whether its place jumps before, and the flags of its step.
+fn step() -> impl Strategy<Value = (u32, bool, u32)> {
+    let flags = prop::sample::select(vec![0, 0, 0, 0, 0, FIRST, TERMINATED, TRUNCATED]);
+    (0u32..3, prop::bool::weighted(0.1), flags)
+}
+
+/// The transitions of three actors that walk along a line.
+fn histories(steps: &[(u32, bool, u32)]) -> Vec<Plain> {
+    let mut places = [0.0; 3];
+    let mut walk = |&(actor, jumps, flags): &(u32, bool, u32)| {
+        let place = &mut places[actor as usize];
+        *place += if jumps { 100.0 } else { 0.0 };
+        let obs = [*place, 0.0];
+        *place += 1.0;
+        Plain { obs, next: [*place, 0.0], action: 0, reward: 0.0, flags, actor, mentor: NONE, past: [0.0; 2] }
+    };
+    steps.iter().map(&mut walk).collect()
+}
+
+/// Indices of `index` and of what follows upon it in `history`, at most `most`.
+fn naive_path(history: &[Plain], index: usize, most: usize) -> Vec<usize> {
+    let mut path = vec![index];
+    for (at, next) in history.iter().enumerate().skip(index + 1) {
+        let here = &history[path[path.len() - 1]];
+        if path.len() == most || here.flags & (TERMINATED | TRUNCATED) != 0 {
+            break;
+        }
+        if next.actor == here.actor {
+            if next.flags & FIRST != 0 || next.obs != here.next {
+                break;
+            }
+            path.push(at);
+        }
+    }
+    path
 }
 
 /// The bytes of segments.
@@ -263,7 +329,7 @@ fn draws_are_uniform_over_what_is_stored() {
 #[test]
 fn memory_is_accounted_for() {
     let replay = Replay::new(1000, 4).unwrap();
-    assert_eq!(bytes_per_transition(4), 54);
+    assert_eq!(bytes_per_transition(4), 58);
     let reserved = 4
         * (replay.obs.capacity()
             + replay.next.capacity()
@@ -272,6 +338,7 @@ fn memory_is_accounted_for() {
             + replay.mentor.capacity()
             + replay.q_past_o.capacity()
             + replay.q_past_m.capacity())
+        + replay.links.reserved()
         + replay.flags.capacity()
         + replay.actor.capacity();
     assert_eq!(replay.bytes(), reserved);

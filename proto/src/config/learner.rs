@@ -1,7 +1,7 @@
 //! `[exploration]` and `[learner]`: ε-greedy exploration; replay, network and gradient steps.
 
 use super::accepts::{above, above_up_to, at_least, below, between, list};
-use crate::limits::{MAX_REPLAY, MAX_SIZES, MAX_WIDTH};
+use crate::limits::{MAX_N_STEP, MAX_REPLAY, MAX_SIZES, MAX_WIDTH};
 use crate::{choices, settings};
 
 settings! {
@@ -63,6 +63,9 @@ settings! {
         tau: f64 = 0.005, above_up_to(0.0, 1.0);
         /// Double DQN: the online network chooses the next action, and the target network values it.
         double: bool = true;
+        /// Steps of the observer that the target of its own loss L_o looks ahead. 1: one, as in the papers. The mentor's loss
+        /// always looks one step ahead.
+        n_step: usize = 1, between(1, MAX_N_STEP);
         /// The loss of a sample.
         loss: LossKind = LossKind::Huber;
         /// With `loss = "huber"`: error at which it turns from quadratic to linear.

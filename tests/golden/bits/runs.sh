@@ -73,6 +73,7 @@ all() {
     run always "${small[@]}" --algo diiqn --seed 8 --set mentor.selection=always
     run literal-reward "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.reward=observer
     run shaping "${small[@]}" --algo dqn --seed 10 --set shaping.potential=1.0
+    run n-step "${small[@]}" --algo ha-diiqn --seed 10 --actors 2 --set learner.n_step=5 --set learner.replay=3000
     run candle maze-small --env-steps 3000 --algo ha-diiqn --seed 11 --set learner.backend=candle
     run reference "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1 --mode reference
     run hard-target "${small[@]}" --algo dqn --seed 12 --set learner.target=hard --set learner.loss=squared \

@@ -82,7 +82,7 @@ proptest! {
 fn equal_runs_have_equal_weights_and_others_do_not() {
     let weights = |sets: &[&str], seed| {
         let (mut agent, mut world) = agent(sets, seed);
-        live(&mut agent, &mut world, 10);
+        live(&mut agent, &mut world, 40);
         agent.weights_sha256()
     };
     let base = weights(&[], 1);

@@ -2,9 +2,11 @@
 
 use super::{agent, live};
 use crate::agent::{Agent, Selection, TrainStats};
+use crate::testing::{Walked, World};
 use proptest::prelude::*;
 use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::batch::FIRST;
 use trestle_proto::config::{CombineKind, DrawKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
@@ -69,10 +71,33 @@ fn naive_mentor(
     }
 }
 
+/// Every transition that was ever stored, in the order of the replay: (actor, its number among that actor's).
+fn order(world: &World) -> Vec<(usize, usize)> {
+    let batches = world.walked[0].len() / 8;
+    let of_batch = |b| (0..world.walked.len()).flat_map(move |a| (8 * b..8 * b + 8).map(move |i| (a, i)));
+    (0..batches).flat_map(of_batch).collect()
+}
+
+/// Reward and discount of the n-step target of number `at` of `steps`, one actor's, and the step that it ends with.
+fn naive_return(agent: &Agent, steps: &[Walked], at: usize) -> (f64, f64, Walked) {
+    let (n, gamma) = (agent.settings.learner.n_step, agent.settings.learner.gamma);
+    let (mut sum, mut discount, mut last) = (0.0, 1.0, steps[at]);
+    for (k, step) in steps[at..].iter().take(n).enumerate() {
+        if k > 0 && (last.transition().ends_episode() || step.flags & FIRST != 0) {
+            break;
+        }
+        sum += discount * f64::from(step.reward);
+        discount *= gamma;
+        last = *step;
+    }
+    (sum, discount, last)
+}
+
 /// All terms of the drawn samples; none if a choice hangs on the last bits. `drawn`: the mentor transitions drawn with
 /// them, if any were.
 fn naive_terms(
     agent: &Agent,
+    world: &World,
     slots: &[u32],
     drawn: &[u32],
     online: &[f32],
@@ -91,6 +116,8 @@ fn naive_terms(
         let value = if terminal { 0.0 } else { value(next)? };
         Some(f64::from(reward) + settings.learner.gamma * value)
     };
+    let order = order(world);
+    let stored = agent.replay().first_index() as usize..order.len();
     let mut terms = Vec::new();
     for (at, &slot) in slots.iter().enumerate() {
         let entry = agent.replay().get(slot as usize);
@@ -135,7 +162,11 @@ fn naive_terms(
             }
             terms.push(Naive { obs, action, target, weight: phi });
         }
-        let (target, transition) = (y(own.reward, own.terminated(), own.next_obs)?, own);
+        let index = stored.clone().find(|&index| agent.replay().slot(index as u64) == slot as usize);
+        let (actor, number) = order[index.unwrap()];
+        let (reward, discount, end) = naive_return(agent, &world.walked[actor], number);
+        let beyond = if end.transition().terminated() { 0.0 } else { value(&end.next_obs)? };
+        let (target, transition) = (reward + discount * beyond, own);
         let own = if settings.combine == CombineKind::Beside { 1.0 } else { 1.0 - phi };
         terms.push(Naive { obs: transition.obs.to_vec(), action: transition.action, target, weight: own });
     }
@@ -155,6 +186,8 @@ proptest! {
         reward in prop::sample::select(vec!["matched", "observer"]),
         isa in prop::sample::select(Isa::available().collect::<Vec<_>>()),
         double: bool,
+        n_step in 1usize..6,
+        actors in 1u32..4,
         seed in 0u64..1000,
     ) {
         let draw = if selection == "min-distance" { "similar" } else { draw };
@@ -169,6 +202,8 @@ proptest! {
             format!("mentor.selection={selection}"),
             format!("mentor.reward={reward}"),
             format!("learner.double={double}"),
+            format!("learner.n_step={n_step}"),
+            format!("run.actors={actors}"),
             "learner.huber_delta=0.7".into(),
             "mentor.c_max=9".into(),
         ];
@@ -188,7 +223,7 @@ proptest! {
         step.differentiate(network, settings, &mut stats).unwrap();
         let grad = step.grad.clone();
 
-        let Some(naive) = naive_terms(&agent, &slots, &drawn, &online, &target) else {
+        let Some(naive) = naive_terms(&agent, &world, &slots, &drawn, &online, &target) else {
             return Err(TestCaseError::reject("it hangs on the last bits"));
         };
         let x: Vec<f32> = naive.iter().flat_map(|t| t.obs.iter().map(|v| v / 4.0)).collect();

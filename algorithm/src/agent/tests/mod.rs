@@ -16,11 +16,13 @@ fn agent(sets: &[&str], seed: u64) -> (Agent, World) {
     (agent, World::new(&plan, seed))
 }
 
-/// Lets `agent` live through `ticks` ticks of one actor.
+/// Lets `agent` live through `ticks` ticks of all its actors.
 fn live(agent: &mut Agent, world: &mut World, ticks: usize) {
     for _ in 0..ticks {
-        let (batch, observed) = world.batch(0, 8);
-        agent.ingest(&batch, observed.as_ref()).unwrap();
+        for actor in 0..world.walked.len() as u32 {
+            let (batch, observed) = world.batch(actor, 8);
+            agent.ingest(&batch, observed.as_ref()).unwrap();
+        }
         agent.train(|| ()).unwrap();
     }
 }
