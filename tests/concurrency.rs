@@ -211,6 +211,10 @@ fn users_do_not_see_each_other() {
     let [first, second] = [runs[0].1.clone(), runs[1].1.clone()];
     for (user, own, other, others) in [(&one, &first, &two, &second), (&two, &second, &one, &first)] {
         let run = others.read_plan().unwrap().run;
+        // Not even the names, unless their user lets it in.
+        let listed = user.start_program("ls", &[others.root().to_str().unwrap()]).finish();
+        assert!(!listed.status.success() && listed.stdout.is_empty(), "{listed:?}");
+        fs::set_permissions(others.root(), Permissions::from_mode(0o755)).unwrap();
         let (root, files) = other.shared(run);
         assert!(files.len() > 5, "{files:?}");
         let private = |path: &Path, mode: u32| {

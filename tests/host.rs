@@ -4,7 +4,9 @@
 use crate::util::{
     Outcome, Place, TRESTLE, Trace, assert_gone, available, newest_checkpoint, processes, start_under, tree,
 };
-use std::fs;
+use std::collections::BTreeMap;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "3000", "--seed", "4"];
 
@@ -39,6 +41,71 @@ fn too_little_shared_memory() {
 #[test]
 fn read_only_shared_memory() {
     refused("mount -t tmpfs -o ro tmpfs /dev/shm", &["/dev/shm", "cannot be written"]);
+}
+
+/// Somebody else has laid links and directories under names that could be guessed: the run does not care, and what the
+/// links lead to is as it was. Every file of the run in shared memory has a name that nobody can guess.
+#[test]
+fn nobody_elses_link_is_followed() {
+    let place = Place::new();
+    let victim = place.write("thesis", "of years");
+    fs::set_permissions(&victim, Permissions::from_mode(0o600)).unwrap();
+    let names = "trestle-probe-$$ trestle-model-$$-0.xml trestle_$$ trestle-$$ .trestle-probe-$$";
+    for lay in [format!("ln -s {victim}"), "mkdir".into()] {
+        let setup = format!(
+            "mount -t tmpfs -o mode=1777 tmpfs /dev/shm && mount -t tmpfs -o mode=1777 tmpfs {root}/tmp && \
+             for dir in /dev/shm {root}/tmp; do for name in {names}; do \
+             setpriv --reuid 4242 --regid 4242 --clear-groups {lay} $dir/$name || exit 1; done; done; \
+             export TMPDIR={root}/tmp",
+            root = place.root().display()
+        );
+        fs::create_dir_all(place.path("tmp")).unwrap();
+        let Some(outcome) = trained_after(&place, &setup, &["--overwrite"]) else { return };
+        outcome.ok();
+        assert_eq!(fs::read_to_string(&victim).unwrap(), "of years");
+    }
+    let identity = |name: &str| {
+        place.train(name, &ARGS);
+        place.run(name).read_plan().unwrap().run
+    };
+    let [first, second] = ["first", "second"].map(identity);
+    assert!(first != second && first.max(second) >> 32 > 0, "{first:x} {second:x}");
+}
+
+/// Whatever the shell's mask says, nobody but the user may look into a run's directory or write anything in it, and the
+/// user can let others in by the directory's mode alone.
+#[test]
+fn modes_do_not_depend_on_the_mask() {
+    let place = Place::new();
+    let modes = |mask: &str| -> BTreeMap<String, u32> {
+        let under = ["sh", "-c", &format!("umask {mask} && exec \"$@\""), "sh"];
+        let name = format!("of-{mask}/run");
+        let sets = ["--set", "checkpoint.every_env_steps=1000", "--set", "mentor.demo.a=plan"];
+        start_under(&under, &place.training(&name, &[&ARGS[..], &sets].concat())).finish().ok();
+        let root = place.root().join(format!("of-{mask}"));
+        let paths = tree(&root).into_keys().filter(|path| !path.is_symlink());
+        paths
+            .map(|path| {
+                let mode = fs::metadata(&path).unwrap().mode() & 0o7777;
+                let name = path.strip_prefix(&root).unwrap().to_str().unwrap();
+                // The name of TensorBoard's file has the time in it.
+                (if name.contains("tfevents") { "events".into() } else { name.to_string() }, mode)
+            })
+            .collect()
+    };
+    let found = modes("000");
+    assert_eq!(found, modes("077"));
+    assert!(found.len() > 20, "{found:?}");
+    for (name, mode) in &found {
+        let dir = place.root().join("of-000").join(name).is_dir();
+        let expected = if name == "run" { 0o700 } else if dir { 0o755 } else { 0o644 };
+        assert_eq!(*mode, expected, "{name} is of mode {mode:o}");
+    }
+    // A directory of the user's own making stays as it is.
+    fs::create_dir(place.path("open")).unwrap();
+    fs::set_permissions(place.path("open"), Permissions::from_mode(0o750)).unwrap();
+    place.train("open", &ARGS);
+    assert_eq!(fs::metadata(place.path("open")).unwrap().mode() & 0o7777, 0o750);
 }
 
 /// What a run says it needs is enough, and a start that is refused puts a replaced run back.

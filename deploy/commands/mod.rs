@@ -11,6 +11,7 @@ mod train;
 
 use crate::cli::{Cli, Command};
 use anyhow::{Context, Result};
+use nix::sys::stat::{Mode, umask};
 use signal_hook::consts::SIGPIPE;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -27,6 +28,16 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         // What only prints ends when its reader has seen enough, as in `trestle config show maze30 | head`.
         signal_hook::flag::register_conditional_default(SIGPIPE, Arc::new(AtomicBool::new(true)))
             .context("cannot handle signals")?;
+    }
+    if let Command::Train(_)
+    | Command::Sweep(_)
+    | Command::Actor(_)
+    | Command::Learner(_)
+    | Command::MentorServer(_) = &cli.command
+    {
+        // What is in a run's directory is its user's alone to write, and whoever may enter the directory may read it,
+        // whatever the shell's mask says. Other commands write files of the user's, and go by the mask.
+        umask(Mode::from_bits_truncate(0o022));
     }
     match cli.command {
         Command::Train(args) => train::run(&args),

@@ -8,9 +8,11 @@ use super::probes::check_shared_memory;
 use super::resolve::{Resolved, copy_of};
 use crate::build_info::BuildInfo;
 use anyhow::{Context, Result, bail, ensure};
+use rustix::rand::{GetRandomFlags, getrandom};
 use std::cell::Cell;
-use std::fs::{self, OpenOptions};
-use std::io::Write;
+use std::fs::{self, DirBuilder, OpenOptions};
+use std::io::{ErrorKind, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
@@ -84,9 +86,9 @@ impl Resolved {
             self.config.mentor.demo =
                 demos.map_files(|name, _| copy_of(&base, demos, name).display().to_string());
         }
-        let mut plan = self.plan(new_identity(), None);
+        let mut plan = self.plan(draw()?, None);
         match &followed {
-            None => plan.history = draw(),
+            None => plan.history = draw()?,
             Some((former, tick)) => {
                 (plan.history, plan.restarts) = (former.history, former.restarts);
                 plan.generation = next_generation(former.generation)?;
@@ -203,7 +205,7 @@ impl Prepared {
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(crate) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
         check_shared_memory(Sizes::of(&self.plan).shared_memory_bytes())?;
-        self.plan.run = new_identity();
+        self.plan.run = draw()?;
         self.replace_learner(tick)
     }
 
@@ -295,9 +297,18 @@ impl Drop for Prepared {
     }
 }
 
-/// Makes the run directory `root`, if it is not there, and takes it for this process.
+/// Makes the run directory `root`, if it is not there, and takes it for this process. It is its user's alone until that user
+/// says otherwise: it holds copies of demonstrations. One that is there keeps its mode.
 fn make(root: &Path, fresh: bool) -> Result<Fence> {
-    fs::create_dir_all(root).with_context(|| format!("cannot make {}", root.display()))?;
+    let mut private = DirBuilder::new();
+    private.mode(0o700);
+    let made = root.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| private.create(root));
+    match made {
+        Err(e) if e.kind() != ErrorKind::AlreadyExists || !root.is_dir() => {
+            return Err(e).with_context(|| format!("cannot make {}", root.display()));
+        }
+        _ => {}
+    }
     let fence = Fence::take(root)?;
     // Another start may have been quicker, and be over.
     ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
@@ -327,7 +338,7 @@ fn empty(dir: &Path) -> std::io::Result<()> {
 fn occupied(path: &Path) -> Result<bool> {
     match fs::read_dir(path) {
         Ok(mut entries) => Ok(entries.next().is_some()),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(false),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
         Err(e) => Err(e).with_context(|| format!("cannot use {} as a run's directory", path.display())),
     }
 }
@@ -363,15 +374,12 @@ fn clear_away(dir: &RunDir, fence: Option<&Fence>) {
     }
 }
 
-/// An identity for the run's shared memory: 32 bits that no living run has; a clash is found when the domain is made.
-fn new_identity() -> u64 {
-    draw() >> 32
-}
-
-/// 64 bits that are not drawn twice.
-fn draw() -> u64 {
-    let nanos = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-    trestle_proto::rng::mix(nanos ^ u64::from(std::process::id()) << 32)
+/// 64 bits that nobody can guess. A run's identity begins the names of its files in a directory where everybody may create
+/// some; that it is no other run's is found out when the domain is made.
+fn draw() -> Result<u64> {
+    let mut word = [0; 8];
+    getrandom(&mut word, GetRandomFlags::empty()).context("the system gives no random numbers")?;
+    Ok(u64::from_ne_bytes(word))
 }
 
 /// `arg` as a shell would need it.

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use nix::sys::statvfs::statvfs;
-use std::fs;
+use std::io::Write;
 use std::path::Path;
 
 /// Refuses to start where shared memory is missing or too small.
@@ -20,8 +20,8 @@ pub(super) fn check_shared_memory(needed: u64) -> Result<()> {
         free >> 20,
         needed.div_ceil(1 << 20)
     );
-    let probe = shm.join(format!("trestle-probe-{}", std::process::id()));
-    fs::write(&probe, b"x")
-        .and_then(|()| fs::remove_file(&probe))
+    // Everybody may create files there: one without a name follows nobody's link and is left behind by no kill.
+    tempfile::tempfile_in(shm)
+        .and_then(|mut probe| probe.write_all(b"x"))
         .with_context(|| format!("{} cannot be written to", shm.display()))
 }

@@ -10,12 +10,10 @@ use super::model::xml;
 use crate::env::point_maze::geometry::{Geometry, Vector};
 use crate::env::point_maze::physics::Body;
 use std::ffi::{CStr, CString, c_char, c_int};
-use std::fs::{self, OpenOptions};
 use std::io::Write;
-use std::path::PathBuf;
 use std::ptr::{self, NonNull};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use tempfile::NamedTempFile;
 
 /// Room for MuJoCo's words about a model, bytes.
 const MESSAGE: usize = 1000;
@@ -128,9 +126,9 @@ fn load(api: &Api, text: &str) -> Result<NonNull<Model>, MujocoError> {
             }
         }
         Loader::File { load } => {
-            let file = TextFile::new(text).map_err(|e| refused(format!("cannot write its file: {e}")))?;
-            let path =
-                CString::new(file.0.as_os_str().as_encoded_bytes()).map_err(|e| refused(e.to_string()))?;
+            let file = text_file(text).map_err(|e| refused(format!("cannot write its file: {e}")))?;
+            let path = CString::new(file.path().as_os_str().as_encoded_bytes());
+            let path = path.map_err(|e| refused(e.to_string()))?;
             // SAFETY: as above; the path ends with 0.
             unsafe { load(path.as_ptr(), ptr::null(), message.as_mut_ptr(), MESSAGE as c_int) }
         }
@@ -150,24 +148,10 @@ fn load(api: &Api, text: &str) -> Result<NonNull<Model>, MujocoError> {
     Ok(model)
 }
 
-/// A file that is removed when this goes.
-struct TextFile(PathBuf);
-
-impl TextFile {
-    fn new(text: &str) -> std::io::Result<Self> {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("trestle-model-{}-{number}.xml", std::process::id()));
-        // Never through somebody else's file or link.
-        let mut file = OpenOptions::new().write(true).create_new(true).open(&path)?;
-        let file_of = Self(path);
-        file.write_all(text.as_bytes())?;
-        Ok(file_of)
-    }
-}
-
-impl Drop for TextFile {
-    fn drop(&mut self) {
-        let _ = fs::remove_file(&self.0);
-    }
+/// A file with `text`, which is removed when this goes. Its directory is everybody's: it has a name that nobody can guess,
+/// and is never somebody else's file or link.
+fn text_file(text: &str) -> std::io::Result<NamedTempFile> {
+    let mut file = tempfile::Builder::new().prefix("trestle-model-").suffix(".xml").tempfile()?;
+    file.write_all(text.as_bytes())?;
+    Ok(file)
 }
