@@ -24,6 +24,7 @@ use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
 use trestle_link::LinkError;
 use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxLearner, IceoryxMentor};
+use trestle_link::log_file::OwnLog;
 use trestle_link::{logging, pulse};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::Mode;
@@ -52,13 +53,13 @@ impl Start {
         let domain = Domain::of(plan.run);
         let stop = Arc::new(AtomicBool::new(false));
         if args.watch_stdin {
-            let (domain, stop) = (domain.clone(), stop.clone());
+            let (domain, stop, log) = (domain.clone(), stop.clone(), OwnLog::at(dir.log(role)));
             // A signal that asks this process to leave asks the run: the supervisor decides what becomes of it.
             let asked = Arc::new(AtomicBool::new(false));
             for signal in asking() {
                 signal_hook::flag::register(signal, asked.clone()).context("cannot handle signals")?;
             }
-            let watch = move || leave_with_supervisor(&domain, &asked, &stop);
+            let watch = move || leave_with_supervisor(&domain, &asked, &stop, log.as_ref());
             thread::Builder::new().name("watch".into()).spawn(watch)?;
         } else {
             for signal in [SIGTERM, SIGINT] {
@@ -95,8 +96,10 @@ fn last_words(panic: &PanicHookInfo<'_>) {
 ///
 /// The removal is done by this program begun anew in this process ([`orphaned`]): that ends all other threads, which
 /// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
-fn leave_with_supervisor(domain: &Domain, asked: &AtomicBool, stop: &AtomicBool) {
-    if let Err(error) = beat_until_closed(asked, stop) {
+///
+/// It also sees to it that this process's log stays within its limit.
+fn leave_with_supervisor(domain: &Domain, asked: &AtomicBool, stop: &AtomicBool, log: Option<&OwnLog>) {
+    if let Err(error) = beat_until_closed(asked, stop, log) {
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
@@ -106,7 +109,7 @@ fn leave_with_supervisor(domain: &Domain, asked: &AtomicBool, stop: &AtomicBool)
     std::process::exit(ORPHANED.into());
 }
 
-fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool) -> io::Result<()> {
+fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool, log: Option<&OwnLog>) -> io::Result<()> {
     let mut line = UnixStream::from(stdin().as_fd().try_clone_to_owned()?);
     // A pipe has no timeouts: then nobody wants signs of life.
     if line.set_read_timeout(Some(BEAT)).and_then(|()| line.set_write_timeout(Some(BEAT))).is_err() {
@@ -138,6 +141,9 @@ fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool) -> io::Result<()> {
                     let _ = line.write(&[pulse::ASKED]);
                 }
                 seen = steps;
+                if let Some(Err(error)) = log.map(OwnLog::keep_bounded) {
+                    tracing::debug!("the log grows on: {error}");
+                }
             }
             // The supervisor went before it had read all.
             Err(error) if error.kind() == ErrorKind::ConnectionReset => return Ok(()),

@@ -11,14 +11,16 @@ use crate::prepare::Prepared;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
 use std::fmt;
-use std::fs::{self, OpenOptions};
+use std::io::{Read, Seek, SeekFrom};
 use std::os::fd::OwnedFd;
 use std::process::{ExitStatus, Stdio};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{self, ChildStdout, Command};
 use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
+use trestle_link::log_file;
 use trestle_proto::config::Mode;
+use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 
 /// The program itself, also if its file has been replaced since it was started: a run is never carried on by another
@@ -26,6 +28,8 @@ use trestle_proto::rundir::RunDir;
 const PROGRAM: &str = "/proc/self/exe";
 /// Lines of a dead child's log that the user is shown.
 const TAIL_LINES: usize = 12;
+/// Bytes of it that are looked at.
+const MAX_TAIL_BYTES: u64 = 1 << 16;
 
 /// Which process of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,11 +154,7 @@ pub(super) fn start(
 ) -> Result<Child> {
     let dir = prepared.dir();
     let path = dir.log(&role.to_string());
-    let log = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(&path)
-        .with_context(|| format!("cannot open {}", path.display()))?;
+    let log = log_file::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
     let mut command = Command::new(PROGRAM);
     command.arg0(std::env::args_os().next().unwrap_or_default());
     match role {
@@ -225,12 +225,19 @@ async fn forward(stdout: ChildStdout, events: mpsc::Sender<Report>) {
 /// The last lines of a process's log.
 pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
     let path = dir.log(&role.to_string());
-    match fs::read(&path) {
+    let tail = || -> Result<Vec<u8>> {
+        let (mut file, mut bytes) = (regular_file::open(&path, u64::MAX)?, Vec::new());
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(length.saturating_sub(MAX_TAIL_BYTES)))?;
+        file.take(MAX_TAIL_BYTES).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    match tail() {
         Ok(bytes) => {
             let text = String::from_utf8_lossy(&bytes);
             let lines: Vec<&str> = text.lines().collect();
             lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
         }
-        Err(error) => format!("(cannot read {}: {error})", path.display()),
+        Err(error) => format!("(cannot read {}: {error:#})", path.display()),
     }
 }

@@ -13,6 +13,7 @@ pub mod message;
 pub mod names;
 pub mod observe;
 pub mod orders;
+pub mod own_file;
 pub mod plan;
 pub mod query;
 pub mod regular_file;

@@ -34,6 +34,8 @@ pub const MAX_REPLY_BYTES: usize = 16 << 20;
 pub const MAX_MAP_SIDE: usize = 1000;
 /// Largest configuration or map file, bytes.
 pub const MAX_TEXT_BYTES: u64 = 16 << 20;
+/// Size at which a process's log is put aside and a new one begun, bytes. One that was put aside before goes.
+pub const MAX_LOG_BYTES: u64 = 4 << 20;
 
 /// Batches that may wait for the learner, each actor.
 pub const TRANSITIONS_BUFFER: usize = 64;

@@ -2,9 +2,12 @@
 //!
 //! Names inside a checkpoint are the checkpoint's own.
 
+use crate::codec::MAX_BODY;
+use crate::own_file;
 use crate::plan::RunPlan;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, ErrorKind, Write};
+use crate::regular_file::{self, FileError};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// The resolved configuration.
@@ -39,14 +42,9 @@ pub const RESULT_FILE: &str = "result.json";
 /// A file or directory of a run that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum RunDirError {
-    /// The system refuses.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    /// The file cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The directory holds no run.
     #[error("{path} is not a run's directory: it has no {missing}")]
     NotARun {
@@ -163,10 +161,11 @@ impl RunDir {
     /// The directory holds no run, or the plan is damaged.
     pub fn read_plan(&self) -> Result<RunPlan, RunDirError> {
         let path = self.plan();
-        let bytes = fs::read(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound => RunDirError::NotARun { path: self.root.clone(), missing: PLAN_FILE },
-            _ => RunDirError::Io { path: path.clone(), source },
-        })?;
+        let bytes =
+            regular_file::read(&path, MAX_BODY as u64).map_err(|error| match error.is_not_found() {
+                true => RunDirError::NotARun { path: self.root.clone(), missing: PLAN_FILE },
+                false => RunDirError::File(error),
+            })?;
         RunPlan::decode(&bytes).map_err(|source| RunDirError::Plan { path, source })
     }
 }
@@ -181,7 +180,8 @@ pub enum Durable {
 }
 
 /// Writes the file `path` by way of a temporary file beside it, so that `path` always holds either what it held or all that
-/// `contents` writes. With [`Durable::Now`] this holds after a power cut, too. Where it fails, nothing is left behind.
+/// `contents` writes. With [`Durable::Now`] this holds after a power cut, too, as far as the file system can sync. Where it
+/// fails, nothing is left behind; a kill leaves a file that [`is_temporary`].
 ///
 /// # Errors
 /// What `contents` or the system says.
@@ -208,26 +208,32 @@ fn write_new(
     durable: Durable,
     contents: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
-    // What a process with the same id left that was killed here.
-    match fs::remove_file(path) {
-        Err(e) if e.kind() != ErrorKind::NotFound => return Err(e),
-        _ => {}
-    }
-    let mut file = BufWriter::new(OpenOptions::new().write(true).create_new(true).open(path)?);
+    // Also in the place of what a process with the same id left that was killed here.
+    let mut file = BufWriter::new(own_file::create(path)?);
     contents(&mut file)?;
     file.flush()?;
     match durable {
-        Durable::Now => file.get_ref().sync_all(),
+        Durable::Now => own_file::synced(file.get_ref().sync_all()),
         Durable::Later => Ok(()),
     }
 }
 
-/// Makes a renamed or new entry of `path`'s directory survive a crash.
+/// Whether a file with this name is what [`write_atomically`] leaves when it is killed.
+pub fn is_temporary(name: &str) -> bool {
+    let middle = name.strip_prefix('.').and_then(|name| name.strip_suffix(".tmp"));
+    let process = middle.and_then(|middle| middle.rsplit_once('.')).map(|(_, process)| process);
+    process.is_some_and(|id| !id.is_empty() && id.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+/// Makes a renamed or new entry of `path`'s directory survive a crash, as far as the file system can.
+///
+/// # Errors
+/// What the system says.
 pub fn sync_parent(path: &Path) -> io::Result<()> {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => File::open(parent)?.sync_all(),
-        _ => File::open(".")?.sync_all(),
-    }
+    own_file::sync_dir(match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    })
 }
 
 #[cfg(test)]
@@ -251,6 +257,18 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"two");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file is left");
         assert!(write_atomically(&dir.path().join("none/x"), Durable::Now, |_| Ok(())).is_err());
+        let temporary = |name: &str| format!(".{name}.{}.tmp", std::process::id());
+        assert!(is_temporary(&temporary("plan.bin")));
+        for name in ["plan.bin", ".tmp", ".plan.bin.tmp", ".plan.bin.x.tmp", "plan.bin.4.tmp", ".plan.bin.4"]
+        {
+            assert!(!is_temporary(name), "{name}");
+        }
+        // What lies in its way is not followed.
+        let victim = dir.path().join("victim");
+        fs::write(&victim, "precious").unwrap();
+        std::os::unix::fs::symlink(&victim, dir.path().join(temporary("new"))).unwrap();
+        write_atomically(&dir.path().join("new"), Durable::Now, |file| file.write_all(b"new")).unwrap();
+        assert_eq!(fs::read(&victim).unwrap(), b"precious");
         assert!(write_atomically(Path::new("/"), Durable::Now, |_| Ok(())).is_err());
     }
 

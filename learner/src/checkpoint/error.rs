@@ -3,6 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 use trestle_algorithm::agent::AgentError;
+use trestle_proto::regular_file::FileError;
 
 /// A checkpoint that cannot be written or used.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +18,9 @@ pub enum CheckpointError {
         /// The reason.
         source: io::Error,
     },
+    /// A file that is not there, or not one that can be read.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The checkpoint was never finished, or is being removed.
     #[error("{path} is missing: the checkpoint is not complete")]
     Incomplete {

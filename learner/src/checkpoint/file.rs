@@ -6,6 +6,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::Path;
 use trestle_link::pulse;
+use trestle_proto::{own_file, regular_file};
 
 /// Bytes between two signs of progress of a writer.
 const PIECE: usize = 1 << 20;
@@ -35,7 +36,7 @@ pub(super) fn write(dir: &Path, name: &str, bytes: &[u8]) -> Result<FileEntry, C
         file.write_all(piece).map_err(&fault)?;
         pulse::step();
     }
-    file.sync_all().map_err(&fault)?;
+    own_file::synced(file.sync_all()).map_err(&fault)?;
     Ok(FileEntry { name: name.into(), bytes: bytes.len() as u64, crc32c: crc32c::crc32c(bytes) })
 }
 
@@ -46,7 +47,7 @@ pub(super) fn link(from: &Path, to: &Path, entry: &FileEntry) -> Result<(), Chec
     if fs::hard_link(&from, &path).is_ok() {
         return Ok(());
     }
-    let bytes = fs::read(&from).map_err(io(&from, "read"))?;
+    let bytes = regular_file::read(&from, entry.bytes)?;
     let copy = write(to, &entry.name, &bytes)?;
     if copy.crc32c == entry.crc32c {
         return Ok(());
@@ -54,9 +55,9 @@ pub(super) fn link(from: &Path, to: &Path, entry: &FileEntry) -> Result<(), Chec
     Err(CheckpointError::Checksum { path: from, found: copy.crc32c, expected: entry.crc32c })
 }
 
-/// Makes sure that the entries of `dir` survive a power cut.
+/// Makes sure that the entries of `dir` survive a power cut, as far as its file system can.
 pub(super) fn sync_dir(dir: &Path) -> Result<(), CheckpointError> {
-    File::open(dir).and_then(|dir| dir.sync_all()).map_err(io(dir, "sync"))
+    own_file::sync_dir(dir).map_err(io(dir, "sync"))
 }
 
 /// Opens `entry` of `dir`, lets `contents` read it, and checks size and checksum of the whole file. Where both the
@@ -68,7 +69,7 @@ pub(super) fn read<R>(
 ) -> Result<R, CheckpointError> {
     let path = dir.join(&entry.name);
     let fault = io(&path, "read");
-    let file = File::open(&path).map_err(&fault)?;
+    let file = regular_file::open(&path, u64::MAX)?;
     let found = file.metadata().map_err(&fault)?.len();
     if found != entry.bytes {
         return Err(CheckpointError::Size { path, found, expected: entry.bytes });

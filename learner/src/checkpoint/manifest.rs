@@ -1,16 +1,15 @@
 //! MANIFEST and COMPLETE: what a checkpoint consists of, and that it is whole.
 
-use super::error::{CheckpointError, contents, io};
+use super::error::{CheckpointError, contents};
 use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 use trestle_algorithm::agent::Counters;
 use trestle_algorithm::replay::Span;
 use trestle_proto::config::Mode;
 use trestle_proto::plan::RunPlan;
+use trestle_proto::regular_file;
 
 /// Version of the layout of checkpoints: any change raises it.
 pub const FORMAT: u32 = 5;
@@ -157,14 +156,12 @@ pub(super) fn seal(manifest: &[u8]) -> String {
 /// The MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE. The files themselves are not looked at.
 pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
     let complete = dir.join(COMPLETE);
-    let sealed = match small(&complete) {
-        Err(CheckpointError::Io { source, path, .. }) if source.kind() == ErrorKind::NotFound => {
-            return Err(CheckpointError::Incomplete { path });
-        }
+    let sealed = match regular_file::read(&complete, MAX_BYTES) {
+        Err(error) if error.is_not_found() => return Err(CheckpointError::Incomplete { path: complete }),
         sealed => sealed?,
     };
     let path = dir.join(MANIFEST);
-    let bytes = small(&path)?;
+    let bytes = regular_file::read(&path, MAX_BYTES)?;
     let computed = seal(&bytes);
     if computed.as_bytes() != sealed {
         let sealed = sealed.escape_ascii();
@@ -174,13 +171,4 @@ pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
     let manifest: Manifest = serde_json::from_slice(&bytes).map_err(contents(&path))?;
     manifest.check(&path)?;
     Ok(manifest)
-}
-
-/// The bytes of a file that cannot be large.
-fn small(path: &Path) -> Result<Vec<u8>, CheckpointError> {
-    let found = fs::metadata(path).map_err(io(path, "read"))?.len();
-    if found > MAX_BYTES {
-        return Err(CheckpointError::Size { path: path.into(), found, expected: MAX_BYTES });
-    }
-    fs::read(path).map_err(io(path, "read"))
 }

@@ -1,7 +1,7 @@
 //! Checkpoints: one consistent cut of a run at a tick, written so that a torn one is never mistaken for a whole one.
 //!
 //! ```text
-//! <run>/last                          -> checkpoints/<newest>
+//! <run>/last                          -> checkpoints/<newest>; without symbolic links a file with that path
 //! <run>/checkpoints/000000001250/     the tick, 12 digits
 //!     model.safetensors               online parameters: layers.0.weight [in, out], layers.0.bias [out], ...
 //!     target.safetensors              target parameters, likewise
@@ -51,8 +51,11 @@ pub use saver::Saver;
 pub use write::{Cut, Unsynced};
 
 use std::path::{Path, PathBuf};
-use trestle_proto::rundir::CHECKPOINTS_DIR;
+use trestle_proto::regular_file;
+use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
+/// Longest path in the file that stands for the link, bytes.
+const MAX_PATH: u64 = 4096;
 const MANIFEST: &str = "MANIFEST";
 const COMPLETE: &str = "COMPLETE";
 const MODEL: &str = "model.safetensors";
@@ -76,6 +79,24 @@ pub fn directory(run_dir: &Path, tick: u64) -> PathBuf {
 
 fn name_of(tick: u64) -> String {
     format!("{tick:012}")
+}
+
+/// The tick that `last` in `run_dir` names, whether as a link or as a file, and whether its checkpoint is sound or not.
+pub fn last(run_dir: &Path) -> Option<u64> {
+    let path = run_dir.join(LAST_LINK);
+    let target = std::fs::read_link(&path).or_else(|_| {
+        let text = regular_file::read_to_string(&path, MAX_PATH).map_err(std::io::Error::other)?;
+        Ok::<_, std::io::Error>(PathBuf::from(text.trim_end()))
+    });
+    target.ok()?.file_name()?.to_str()?.parse().ok()
+}
+
+/// Whether `run_dir` holds a checkpoint that was finished, sound or not.
+///
+/// # Errors
+/// The directory cannot be listed.
+pub fn any_complete(run_dir: &Path) -> Result<bool, CheckpointError> {
+    Ok(ticks(run_dir)?.into_iter().any(|tick| directory(run_dir, tick).join(COMPLETE).exists()))
 }
 
 /// The ticks of which there is a directory in `run_dir`, complete or not, the newest first.

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
 use trestle_proto::codec::{self, Kind, MAX_BODY};
+use trestle_proto::own_file;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
@@ -167,7 +168,7 @@ impl Frozen {
         fs::create_dir_all(&root).map_err(io(&root, "create"))?;
         remove_scratch(&root)?;
         for record in &self.records {
-            record.file.sync_data().map_err(io(&record.path, "write"))?;
+            own_file::synced(record.file.sync_data()).map_err(io(&record.path, "write"))?;
         }
         let (tick, keep, life) = (self.tick(), self.keep, self.life.clone());
         let dir = directory(run_dir, tick);
@@ -229,15 +230,23 @@ fn frame<T: Serialize>(name: &str, kind: Kind, value: &T) -> Result<(String, Vec
     Ok((name.into(), bytes))
 }
 
-/// Makes `last` point at the checkpoint of `tick`, in one step.
+/// Makes `last` name the checkpoint of `tick`, in one step: a link to it or, where the file system has none, a file with the
+/// path in it.
 fn link_last(run_dir: &Path, tick: u64) -> Result<(), CheckpointError> {
     let (last, scratch) = (run_dir.join(LAST_LINK), run_dir.join(format!("{SCRATCH}{LAST_LINK}")));
     match fs::remove_file(&scratch) {
         Err(e) if e.kind() != ErrorKind::NotFound => return Err(io(&scratch, "remove")(e)),
         _ => {}
     }
-    std::os::unix::fs::symlink(Path::new(CHECKPOINTS_DIR).join(name_of(tick)), &scratch)
-        .map_err(io(&scratch, "create"))?;
+    let target = Path::new(CHECKPOINTS_DIR).join(name_of(tick));
+    match std::os::unix::fs::symlink(&target, &scratch) {
+        Err(error) if own_file::cannot_link(&error) => {
+            let mut line = target.into_os_string().into_encoded_bytes();
+            line.push(b'\n');
+            file::write(run_dir, &format!("{SCRATCH}{LAST_LINK}"), &line)?;
+        }
+        linked => linked.map_err(io(&scratch, "create"))?,
+    }
     fs::rename(&scratch, &last).map_err(io(&last, "replace"))?;
     file::sync_dir(run_dir)
 }

@@ -2,9 +2,22 @@
 
 use super::error::{RecordError, io};
 use crate::checkpoint::Unsynced;
-use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, BufWriter, Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use trestle_proto::own_file;
+
+/// Longest line that is looked for, bytes: where none ends for longer, the file is damaged.
+const MAX_LINE: u64 = 1 << 16;
+
+/// What to do about lines that a checkpoint counts and that are not there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lost {
+    /// The run does not go on without them.
+    Refused,
+    /// It goes on behind those that there are.
+    Accepted,
+}
 
 /// A text file that grows by whole lines. Buffered until [`Lines::flush`].
 #[derive(Debug)]
@@ -17,28 +30,44 @@ pub(super) struct Lines {
 impl Lines {
     /// An empty file but for its header, which is empty or ends with a line feed. Replaces what is there.
     pub(super) fn create(path: &Path, header: &str) -> Result<Self, RecordError> {
-        let mut file = BufWriter::new(File::create(path).map_err(io("create", path))?);
+        let mut file = BufWriter::new(own_file::create(path).map_err(io("create", path))?);
         file.write_all(header.as_bytes()).map_err(io("write", path))?;
         file.flush().map_err(io("write", path))?;
         Ok(Self { path: path.to_path_buf(), file, rows: 0 })
     }
 
-    /// The file cut back to its header and the first `rows` lines; a torn line after them goes as well.
-    pub(super) fn resume(path: &Path, header: &'static str, rows: u64) -> Result<Self, RecordError> {
-        let file = OpenOptions::new().read(true).write(true).open(path).map_err(io("open", path))?;
+    /// The file cut back to its header and the first `rows` lines; a torn line after them goes as well. `lost` says what is
+    /// done about lines that are missing.
+    pub(super) fn resume(
+        path: &Path,
+        header: &'static str,
+        rows: u64,
+        lost: Lost,
+    ) -> Result<Self, RecordError> {
+        let file = match own_file::change(path) {
+            Err(e) if e.kind() == ErrorKind::NotFound && lost == Lost::Accepted => {
+                tracing::warn!("{} is missing: a new one is begun", path.display());
+                return Self::create(path, header);
+            }
+            file => file.map_err(io("open", path))?,
+        };
         let mut reader = BufReader::new(file);
         if !starts_with(&mut reader, header.as_bytes()).map_err(io("read", path))? {
             return Err(RecordError::Header { path: path.to_path_buf(), header: header.trim_end() });
         }
         let (found, bytes) = end_of_rows(&mut reader, rows).map_err(io("read", path))?;
         if found < rows {
-            return Err(RecordError::MissingRows { path: path.to_path_buf(), rows, found });
+            let missing = RecordError::MissingRows { path: path.to_path_buf(), rows, found };
+            match lost {
+                Lost::Refused => return Err(missing),
+                Lost::Accepted => tracing::warn!("{missing}; going on behind those that there are"),
+            }
         }
         let mut file = reader.into_inner();
         let end = header.len() as u64 + bytes;
         file.set_len(end).map_err(io("shorten", path))?;
         file.seek(SeekFrom::Start(end)).map_err(io("shorten", path))?;
-        Ok(Self { path: path.to_path_buf(), file: BufWriter::new(file), rows })
+        Ok(Self { path: path.to_path_buf(), file: BufWriter::new(file), rows: found })
     }
 
     /// Lines so far, the header aside.
@@ -78,10 +107,10 @@ fn starts_with(reader: &mut impl BufRead, header: &[u8]) -> std::io::Result<bool
 }
 
 /// Complete lines that are there, at most `rows`, and the bytes that they take. Reads in blocks, so that a
-/// damaged file without line feeds does not fill the memory.
+/// damaged file without line feeds does not fill the memory, and only as far as a line can be long.
 fn end_of_rows(reader: &mut impl BufRead, rows: u64) -> std::io::Result<(u64, u64)> {
     let (mut found, mut end, mut offset) = (0, 0, 0);
-    while found < rows {
+    while found < rows && offset - end <= MAX_LINE {
         let block = reader.fill_buf()?;
         if block.is_empty() {
             break;
@@ -111,18 +140,42 @@ mod tests {
     fn damage_is_refused_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.csv");
-        assert!(matches!(Lines::resume(&path, HEADER, 0), Err(RecordError::Io { .. })));
+        let refused = |rows| Lines::resume(&path, HEADER, rows, Lost::Refused).unwrap_err();
+        assert!(matches!(refused(0), RecordError::Io { .. }));
 
         std::fs::write(&path, "a,c\n1,2\n").unwrap();
-        assert!(matches!(Lines::resume(&path, HEADER, 1), Err(RecordError::Header { header: "a,b", .. })));
+        assert!(matches!(refused(1), RecordError::Header { header: "a,b", .. }));
 
         std::fs::write(&path, "a,").unwrap();
-        assert!(matches!(Lines::resume(&path, HEADER, 0), Err(RecordError::Header { .. })));
+        assert!(matches!(refused(0), RecordError::Header { .. }));
 
         std::fs::write(&path, "a,b\n1,2\n3,").unwrap();
-        let error = Lines::resume(&path, HEADER, 2).unwrap_err();
+        let error = refused(2);
         assert!(matches!(error, RecordError::MissingRows { rows: 2, found: 1, .. }));
         assert!(error.to_string().contains("x.csv"));
+
+        // Without an end, of which no more is read than a line can take.
+        let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+        file.set_len(1 << 40).unwrap();
+        assert!(matches!(refused(2), RecordError::MissingRows { rows: 2, found: 1, .. }));
+        std::fs::remove_file(&path).unwrap();
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        assert!(refused(0).to_string().contains("x.csv: a link, a pipe"));
+    }
+
+    #[test]
+    fn lost_lines_can_be_done_without() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.csv");
+        let resumed = || {
+            let mut lines = Lines::resume(&path, HEADER, 3, Lost::Accepted).unwrap();
+            lines.push("8,9").unwrap();
+            lines.flush().unwrap();
+            (lines.rows(), std::fs::read_to_string(&path).unwrap())
+        };
+        assert_eq!(resumed(), (1, "a,b\n8,9\n".into()));
+        std::fs::write(&path, "a,b\n1,2\n3,").unwrap();
+        assert_eq!(resumed(), (2, "a,b\n1,2\n8,9\n".into()));
     }
 
     proptest! {
@@ -145,7 +198,7 @@ mod tests {
             let undisturbed = std::fs::read(&path).unwrap();
             std::fs::write(&path, [undisturbed.as_slice(), torn.as_bytes()].concat()).unwrap();
 
-            let mut file = Lines::resume(&path, HEADER, kept as u64).unwrap();
+            let mut file = Lines::resume(&path, HEADER, kept as u64, Lost::Refused).unwrap();
             for line in &lines[kept..] {
                 file.push(line).unwrap();
             }

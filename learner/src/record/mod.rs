@@ -15,7 +15,8 @@
 //! ```
 //!
 //! A resumed run cuts `evals.csv` and `metrics.jsonl` back to the lines that its checkpoint counts, so that
-//! they read as those of an undisturbed run, times aside. TensorBoard keeps its old files and is told which
+//! they read as those of an undisturbed run, times aside. `evals.csv` has every evaluation; all else is thinned out as the
+//! run grows longer (`thinning`). TensorBoard keeps its old files and is told which
 //! points are void. The clock decides only when an interval or a progress line is due, and fills `wall_s`,
 //! `fps` and `time_elapsed`: nothing here flows back into training.
 
@@ -28,6 +29,7 @@ mod progress;
 mod result;
 mod solved;
 mod tensorboard;
+mod thinning;
 
 pub use actors::{ActorRow, Staleness, write_actors};
 pub use error::RecordError;
@@ -38,12 +40,13 @@ pub use result::{RunResult, write_result};
 pub use solved::{CONSECUTIVE, Goal, Moment, Standing};
 
 use crate::checkpoint::Unsynced;
-use lines::Lines;
+use lines::{Lines, Lost};
 use metrics::{Row, Window, episode_row, evaluation_scalars, interval_row, means};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tensorboard::EventWriter;
+use thinning::{EPISODES, EVALUATIONS, INTERVALS, is_kept, stride};
 use trestle_algorithm::agent::{Counters, Episode};
 use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 
@@ -113,6 +116,7 @@ pub struct Recorder {
     started: Instant,
     last_interval: Instant,
     last_progress: Instant,
+    last_flush: Instant,
 }
 
 impl Recorder {
@@ -125,15 +129,16 @@ impl Recorder {
     }
 
     /// For a run that goes on from a checkpoint, which held `state` and was taken at `counters`. What was
-    /// recorded after the checkpoint is removed; what was recorded before it must still be there.
+    /// recorded after the checkpoint is removed. What was recorded in `evals.csv` before it must still be there; where
+    /// `metrics.jsonl` has lost lines, the log says so, and it goes on behind those that are left.
     pub fn resume(
         dir: &Path,
         settings: Settings,
         state: RecorderState,
         counters: Counters,
     ) -> Result<Self, RecordError> {
-        let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows)?;
-        let metrics = Lines::resume(&dir.join(METRICS_FILE), "", state.metrics_rows)?;
+        let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows, Lost::Refused)?;
+        let metrics = Lines::resume(&dir.join(METRICS_FILE), "", state.metrics_rows, Lost::Accepted)?;
         let events = EventWriter::create(dir, counters.env_steps + 1)?;
         Ok(Self::new(dir, settings, evals, metrics, events, state, counters))
     }
@@ -161,6 +166,7 @@ impl Recorder {
             started: now,
             last_interval: now,
             last_progress: now,
+            last_flush: now,
         }
     }
 
@@ -190,8 +196,15 @@ impl Recorder {
     /// A training episode has ended; `counters` include it and its last step.
     pub fn episode(&mut self, counters: &Counters, episode: &Episode) -> Result<(), RecordError> {
         self.window.push(*episode);
-        let row = episode_row(counters, self.wall_s(), episode, &self.window);
-        self.push_metrics(&row)
+        if is_kept(counters.episodes, EPISODES) {
+            let row = episode_row(counters, self.wall_s(), episode, &self.window);
+            self.push_metrics(&row)?;
+        }
+        if self.last_flush.elapsed() >= self.settings.metrics_every {
+            self.last_flush = Instant::now();
+            self.metrics.flush()?;
+        }
+        Ok(())
     }
 
     /// A greedy evaluation has been played; its line is the mean over its episodes. Returns that mean return.
@@ -206,14 +219,22 @@ impl Recorder {
             "{episode},{env_steps},{grad_steps},{wall_s:.3},{total_reward},{length},{success}"
         ))?;
         self.evals.flush()?;
-        self.events.scalars(env_steps, &evaluation_scalars(&means))?;
+        if is_kept(self.evals.rows(), EVALUATIONS) {
+            self.events.scalars(env_steps, &evaluation_scalars(&means))?;
+        }
         self.standing.observe(self.settings.goal, Moment { episode, env_steps }, total_reward);
         Ok(total_reward)
     }
 
-    /// Whether it is time for [`Recorder::interval`]. Reads the clock: ask once a tick.
+    /// Whether it is time for [`Recorder::interval`]: the longer the run is, the rarer. Reads the clock: ask once a tick.
     pub fn interval_due(&self) -> bool {
-        self.last_interval.elapsed() >= self.settings.metrics_every
+        let every = self.settings.metrics_every;
+        if self.last_interval.elapsed() < every {
+            return false;
+        }
+        let so_far = (self.wall_s() / every.as_secs_f64()) as u64;
+        let stride = u32::try_from(stride(so_far, INTERVALS)).unwrap_or(u32::MAX);
+        self.last_interval.elapsed() >= every.saturating_mul(stride)
     }
 
     /// Writes an interval row and hands all that is buffered to the operating system.

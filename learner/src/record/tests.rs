@@ -166,8 +166,58 @@ fn lost_lines_and_empty_evaluations_are_refused() {
     let (state, _) = recorder.checkpoint().unwrap();
     drop(recorder);
     std::fs::write(dir.path().join(METRICS_FILE), "{}\n").unwrap();
+    let recorder = Recorder::resume(dir.path(), settings(None), state.clone(), at(6)).unwrap();
+    assert_eq!(recorder.metrics.rows(), 1, "metrics are no reason not to go on");
+    drop(recorder);
+    std::fs::write(dir.path().join(EVALS_FILE), EVALS_HEADER).unwrap();
     let error = Recorder::resume(dir.path(), settings(None), state, at(6)).unwrap_err();
-    assert!(error.to_string().contains("metrics.jsonl has 1 of the 7 lines"), "{error}");
+    assert!(error.to_string().contains("evals.csv has 0 of the 2 lines"), "{error}");
+}
+
+/// A run of very many very short episodes: `evals.csv` is complete, all else has its bound, and an interruption leaves no
+/// trace in what is kept.
+#[test]
+fn logs_are_bounded() {
+    const EPISODES_PLAYED: u64 = 600_000;
+    let play = |recorder: &mut Recorder, ticks: std::ops::RangeInclusive<u64>| {
+        for tick in ticks {
+            recorder.episode(&at(tick), &episode(tick % 7)).unwrap();
+            if tick.is_multiple_of(10) {
+                recorder.evaluation(&at(tick), &[episode(tick % 5)]).unwrap();
+            }
+        }
+    };
+    let (undisturbed, resumed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut recorder = Recorder::create(undisturbed.path(), settings(None)).unwrap();
+    play(&mut recorder, 1..=EPISODES_PLAYED);
+    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), outcome()).unwrap();
+
+    let mut recorder = Recorder::create(resumed.path(), settings(None)).unwrap();
+    play(&mut recorder, 1..=12_345);
+    let (state, _) = recorder.checkpoint().unwrap();
+    play(&mut recorder, 12_346..=70_000);
+    drop(recorder);
+    let mut recorder = Recorder::resume(resumed.path(), settings(None), state, at(12_345)).unwrap();
+    play(&mut recorder, 12_346..=EPISODES_PLAYED);
+    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), outcome()).unwrap();
+
+    assert_eq!(evals(undisturbed.path()).len() as u64, EPISODES_PLAYED / 10 + 1);
+    assert_eq!(evals(resumed.path()), evals(undisturbed.path()));
+    let rows = metrics(undisturbed.path());
+    assert_eq!(metrics(resumed.path()), rows);
+    // All up to 2^14, half of them more with each of the next five doublings, and a part of the sixth.
+    assert!((50_000..70_000).contains(&rows.len()), "{}", rows.len());
+    assert!(rows[..16_383].iter().zip(1..).all(|(row, number)| row["time/episodes"] == number));
+    for entry in std::fs::read_dir(undisturbed.path()).unwrap() {
+        let entry = entry.unwrap();
+        let most = match entry.file_name().to_str().unwrap() {
+            EVALS_FILE => u64::MAX,
+            METRICS_FILE => 20 << 20,
+            name if name.starts_with("events.out.tfevents.") => 4 << 20,
+            _ => 1 << 10,
+        };
+        assert!(entry.metadata().unwrap().len() < most, "{entry:?}");
+    }
 }
 
 #[test]

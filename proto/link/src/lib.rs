@@ -9,6 +9,7 @@
 
 pub mod iceoryx;
 pub mod local;
+pub mod log_file;
 pub mod logging;
 pub mod pulse;
 

@@ -5,7 +5,7 @@ use super::error::{unknown_key, unknown_source};
 use super::{Config, ConfigError, Environments, Field, before, refuse};
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
-use std::fs;
+use crate::regular_file::{self, FileError};
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -140,17 +140,15 @@ impl Presets {
         }
         let path = Path::new(name);
         let fault = |message: String| ConfigError::Read { path: path.into(), message };
-        let meta = fs::metadata(path).map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound => unknown_source(name, &self.names()),
-            _ => fault(e.to_string()),
+        let text = regular_file::read_to_string(path, MAX_TEXT_BYTES).map_err(|error| match error {
+            error if error.is_not_found() => unknown_source(name, &self.names()),
+            FileError::Io { error, .. } => fault(error.to_string()),
+            FileError::Kind { kind, .. } => {
+                fault(format!("{kind}, not a file; accepted: a preset or a TOML file"))
+            }
+            FileError::Large { bytes, limit, .. } => fault(format!("{bytes} bytes; accepted: up to {limit}")),
+            FileError::NotText { line, .. } => fault(format!("line {line} is not UTF-8 text")),
         })?;
-        if !meta.is_file() {
-            return Err(fault("not a file; accepted: a preset or a TOML file".into()));
-        }
-        if meta.len() > MAX_TEXT_BYTES {
-            return Err(fault(format!("{} bytes; accepted: up to {MAX_TEXT_BYTES}", meta.len())));
-        }
-        let text = fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
         parse(&path.display().to_string(), &text)
     }
 

@@ -95,6 +95,16 @@ impl Sizes {
         self.mentor_len.clamp(1, MAX_QUERY_ROWS as usize)
     }
 
+    /// The largest of the run's files in shared memory, bytes, iceoryx2's own books aside.
+    pub fn largest_segment_bytes(&self) -> u64 {
+        let batches = (self.transitions_buffer() + 2) * self.batch_words * 4;
+        let mentor = match self.mentor_len {
+            0 => 0,
+            _ => self.observe_request_words().max(self.observe_answer_words()).max(self.query_answer_words()),
+        };
+        batches.max(16 * self.weights).max(16 * mentor) as u64
+    }
+
     /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
     pub fn shared_memory_bytes(&self) -> u64 {
         let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;

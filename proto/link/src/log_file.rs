@@ -1,0 +1,84 @@
+//! Logs of bounded size: a file that has grown to its limit becomes `<name>.1`, in the place of an older one, and a new one
+//! is begun. So a process keeps at most twice the limit, and always its newest lines.
+
+use rustix::stdio::dup2_stderr;
+use std::fs::{self, File};
+use std::io;
+use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use trestle_proto::limits::MAX_LOG_BYTES;
+use trestle_proto::own_file;
+
+/// Where the lines are that had no room in the log at `path` any more.
+pub fn former(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_os_string();
+    name.push(".1");
+    name.into()
+}
+
+/// Opens the log at `path` to add to it.
+///
+/// # Errors
+/// What the system says, and anything at `path` but a regular file.
+pub fn open(path: &Path) -> io::Result<File> {
+    if fs::symlink_metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() >= MAX_LOG_BYTES) {
+        fs::rename(path, former(path))?;
+    }
+    own_file::append(path)
+}
+
+/// The log that this process writes as its standard error.
+#[derive(Debug)]
+pub struct OwnLog(PathBuf);
+
+impl OwnLog {
+    /// The log at `path`, if it is where this process's standard error goes.
+    pub fn at(path: PathBuf) -> Option<Self> {
+        let log = Self(path);
+        log.length().map(|_| log)
+    }
+
+    /// Bytes of the log; none if this process's standard error goes elsewhere.
+    fn length(&self) -> Option<u64> {
+        let own = File::from(io::stderr().as_fd().try_clone_to_owned().ok()?).metadata().ok()?;
+        let there = fs::symlink_metadata(&self.0).ok()?;
+        (there.is_file() && (own.dev(), own.ino()) == (there.dev(), there.ino())).then(|| own.len())
+    }
+
+    /// Begins a new file if the log has grown to its limit. To be called now and then, whoever wrote the lines.
+    ///
+    /// # Errors
+    /// What the system says. The log grows on then.
+    pub fn keep_bounded(&self) -> io::Result<()> {
+        match self.length() {
+            Some(MAX_LOG_BYTES..) => Ok(dup2_stderr(open(&self.0)?)?),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_log_keeps_its_newest_lines_in_two_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("learner.log");
+        let line = [b'x'; 1 << 16];
+        for start in 0..200u32 {
+            let mut log = open(&path).unwrap();
+            log.write_all(&start.to_be_bytes()).unwrap();
+            log.write_all(&line).unwrap();
+        }
+        let sizes = [&path, &former(&path)].map(|path| fs::metadata(path).unwrap().len());
+        assert!(sizes.iter().all(|&size| size <= MAX_LOG_BYTES + (1 << 16) + 4), "{sizes:?}");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+        let newest = fs::read(&path).unwrap();
+        assert_eq!(newest[newest.len() - line.len() - 4..][..4], 199u32.to_be_bytes());
+        assert!(OwnLog::at(path).is_none(), "it is not this process's standard error");
+    }
+}
