@@ -20,6 +20,16 @@ use output::{say, words};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    if let Err(limit) = prepare::check_stack() {
+        say(&format!("error: {limit}"));
+        return ExitCode::FAILURE;
+    }
+    carry_out()
+}
+
+/// Apart from `main`, which must take little of the stack before it knows that there is enough.
+#[inline(never)]
+fn carry_out() -> ExitCode {
     match commands::run(cli::Cli::parse()) {
         Ok(code) => code,
         Err(error) => {

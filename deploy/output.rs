@@ -1,8 +1,9 @@
 //! Standard output and standard error, which may be closed or full.
 
 use anyhow::{Context, Error, Result};
+use nix::errno::Errno;
 use std::fmt::Arguments;
-use std::io::{Write, stderr, stdout};
+use std::io::{self, Write, stderr, stdout};
 
 /// Prints a line on standard output, as `println!` does, but hands a failure on to the caller with `?`.
 macro_rules! outln {
@@ -21,7 +22,7 @@ pub(crate) fn say(text: &str) {
     let _ = writeln!(stderr().lock(), "{text}");
 }
 
-/// What `error` says, and its causes, none of them twice.
+/// What `error` says, and its causes, none of them twice. Where the cause is a limit of the shell's, also which.
 pub(crate) fn words(error: &Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -30,5 +31,26 @@ pub(crate) fn words(error: &Error) -> String {
             text += &format!(": {cause}");
         }
     }
-    text
+    let errno = |cause: &(dyn std::error::Error + 'static)| cause.downcast_ref::<io::Error>()?.raw_os_error();
+    let limit = match error.chain().find_map(errno).map(Errno::from_raw) {
+        Some(Errno::EFBIG) => " (ulimit -f)",
+        Some(Errno::EMFILE) => " (ulimit -n)",
+        // Of a process or thread that could not be started; nothing else here can be tried again.
+        Some(Errno::EAGAIN) => " (ulimit -u)",
+        _ => "",
+    };
+    text + limit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_of_the_shell_is_named() {
+        let said = |errno: Errno| words(&Error::from(io::Error::from(errno)).context("cannot write x.csv"));
+        assert!(said(Errno::EFBIG).starts_with("cannot write x.csv: File too large"));
+        assert!(said(Errno::EFBIG).ends_with("(ulimit -f)") && said(Errno::EMFILE).ends_with("(ulimit -n)"));
+        assert!(!said(Errno::ENOSPC).contains("ulimit"));
+    }
 }

@@ -19,6 +19,7 @@ mod free;
 mod hazards;
 mod host;
 mod hostile;
+mod leftovers;
 mod mentors;
 mod point_maze;
 mod query;

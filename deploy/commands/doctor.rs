@@ -1,18 +1,17 @@
 //! `trestle doctor`
 
 use crate::cli::Doctor;
+use crate::prepare::{findings, resolve, weaknesses};
 use anyhow::{Result, ensure};
-use nix::sys::resource::{Resource, getrlimit};
-use nix::sys::statvfs::statvfs;
 use std::fs;
+use std::path::Path;
 use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_link::iceoryx::{Domain, Liveness};
+use trestle_proto::config;
 
-/// Shared memory below which a run of the usual size may not fit, bytes.
-const LITTLE_SHARED_MEMORY: u64 = 64 << 20;
-/// Open files below which a run of many actors may not fit: each holds some ten descriptors a peer.
-const FEW_FILES: u64 = 1024;
+/// The preset whose needs the machine is asked for.
+const USUAL: &str = "maze30";
 
 /// This user's runs: how many live, and what dead ones have left, which goes if it is to be fixed.
 fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
@@ -53,22 +52,13 @@ pub(super) fn run(args: &Doctor) -> Result<ExitCode> {
         outln!("{}  {text}", if good { "ok  " } else { "BAD " });
         Ok(())
     };
-    match statvfs("/dev/shm") {
-        Ok(stat) => {
-            let free = stat.blocks_available() * stat.fragment_size();
-            let total = stat.blocks() * stat.fragment_size();
-            line(
-                free >= LITTLE_SHARED_MEMORY,
-                format!("shared memory: {} of {} MiB free in /dev/shm", free >> 20, total >> 20),
-            )?;
-        }
-        Err(error) => line(false, format!("shared memory: /dev/shm cannot be used: {error}"))?,
+    // As for a run of one actor; a start asks again, for its own.
+    let usual = resolve(config::load(registry(), USUAL, &[])?)?.needs();
+    for finding in findings(&usual) {
+        line(finding.enough, finding.text)?;
     }
-    match getrlimit(Resource::RLIMIT_NOFILE) {
-        Ok((soft, hard)) => {
-            line(soft >= FEW_FILES, format!("open files: {soft} allowed (at most {hard}; see `ulimit -n`)"))?;
-        }
-        Err(error) => line(false, format!("open files: {error}"))?,
+    for weakness in weaknesses(Path::new(".")) {
+        line(true, weakness)?;
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     line(true, format!("processors: {cores}, kernels for {}", trestle_qnet::Isa::detect()))?;

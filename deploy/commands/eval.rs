@@ -1,6 +1,8 @@
 //! `trestle eval`
 
 use crate::cli::Eval;
+use crate::output::say;
+use crate::prepare;
 use crate::stored::read_plan;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
@@ -14,6 +16,13 @@ use trestle_proto::tick::{EVALUATE, Tick};
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     logging::init(0, "eval", "warn");
     let dir = RunDir::new(&args.run);
+    for aside in prepare::replaced(dir.root()) {
+        say(&format!(
+            "note: {} waits for the end of an --overwrite of {}",
+            aside.display(),
+            args.run.display()
+        ));
+    }
     let plan = read_plan(&dir)?;
     let (tick, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;

@@ -12,7 +12,7 @@ mod train;
 use crate::cli::{Cli, Command};
 use anyhow::{Context, Result};
 use nix::sys::stat::{Mode, umask};
-use signal_hook::consts::SIGPIPE;
+use signal_hook::consts::{SIGPIPE, SIGXFSZ};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -39,6 +39,8 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         // whatever the shell's mask says. Other commands write files of the user's, and go by the mask.
         umask(Mode::from_bits_truncate(0o022));
     }
+    // A file beyond its limit (`ulimit -f`) is an error of whoever writes it, with a name, and not the end of the process.
+    signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot handle signals")?;
     match cli.command {
         Command::Train(args) => train::run(&args),
         Command::Sweep(args) => sweep::run(&args),

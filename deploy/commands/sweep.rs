@@ -1,7 +1,7 @@
 //! `trestle sweep`
 
 use crate::cli::Sweep as Args;
-use crate::prepare::{Resolved, resolve};
+use crate::prepare::{Needs, Resolved, check as check_machine, resolve, weaknesses};
 use crate::status::INTERRUPTED;
 use crate::sweep::arms::{Arm, MAX_ARMS};
 use crate::sweep::jobs::default_jobs;
@@ -19,21 +19,28 @@ use trestle_report::stats::median;
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "sweep", "warn");
     let (arms, sets, seeds) = (arms(args)?, &args.source.sets, &args.seeds.0);
-    let mut shared = 0;
+    let mut most: Vec<Needs> = Vec::new();
     for arm in &arms {
         // Each arm is resolved as a run of it would be, before anything is started or written.
         let resolved = check(configuration(&args.source.config, sets, args.limits, arm, seeds[0])?)
             .with_context(|| format!("arm {}", arm.name))?;
-        shared = shared.max(resolved.shared_memory_bytes());
+        most.push(resolved.needs());
     }
+    let needs = most.into_iter().reduce(Needs::max).context("a sweep without arms")?;
+    let at_once = args.jobs.map_or_else(|| default_jobs(needs.shared_memory), usize::from);
     let all = jobs(&args.source.config, sets, args.limits, &arms, seeds, &args.out)?;
+    let together = at_once.min(all.len());
+    check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
     let sets = sets.iter().cloned().chain(args.limits.record()).collect();
     Manifest::new(&args.source.config, sets, arms.clone(), seeds.clone()).claim(&args.out, args.resume)?;
+    for weakness in weaknesses(&args.out) {
+        crate::output::say(&format!("note: {weakness}"));
+    }
     let sweep = Sweep {
         arms: arms.into_iter().map(|arm| arm.name).collect(),
         jobs: all,
         out: args.out.clone(),
-        at_once: args.jobs.map_or_else(|| default_jobs(shared), usize::from),
+        at_once,
         quiet: args.quiet,
     };
     let swept = sweep.run()?;

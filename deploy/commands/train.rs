@@ -25,6 +25,18 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         (_, true) => Existing::Overwrite,
         _ => Existing::Keep,
     };
+    prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
+    let existing = match existing {
+        Existing::Resume if prepare::nothing_saved(&root) => {
+            crate::output::say(&format!("{}: nothing had been saved: beginning anew", root.display()));
+            Existing::Overwrite
+        }
+        existing => existing,
+    };
+    let metrics = RunDir::new(&root).metrics();
+    if existing == Existing::Resume && RunDir::new(&root).config().exists() && !metrics.exists() {
+        crate::output::say(&format!("note: {} is missing: a new one is begun", metrics.display()));
+    }
     let mode = config.run.mode;
     let resolved = match existing {
         Existing::Resume => prepare::resolve_run(&root, &config)?,
@@ -36,6 +48,9 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
     // From here on there is something that an early Ctrl-C must not leave behind.
     let held = HeldSignals::new()?;
     let prepared = resolved.prepare(&root, existing)?;
+    for weakness in prepare::weaknesses(&root) {
+        crate::output::say(&format!("note: {weakness}"));
+    }
     let ended = match mode {
         config::Mode::Lockstep | config::Mode::Free => supervise::run(prepared, held, args.quiet)?,
         config::Mode::Reference => reference::run(&prepared, held, args.quiet)?,

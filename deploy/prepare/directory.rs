@@ -4,25 +4,30 @@
 //! until then.
 
 use super::fence::Fence;
-use super::probes::check_shared_memory;
+use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
+use super::states::{clear_unborn, discard, is_unborn, move_aside, remove_temporaries};
 use crate::build_info::BuildInfo;
 use anyhow::{Context, Result, bail, ensure};
 use rustix::rand::{GetRandomFlags, getrandom};
 use std::cell::Cell;
-use std::fs::{self, DirBuilder, OpenOptions};
+use std::fs::{self, DirBuilder};
 use std::io::{ErrorKind, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
-use trestle_link::iceoryx::services::Sizes;
 use trestle_link::iceoryx::{Domain, HeldDomain, Liveness};
+use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
+
+/// Largest `result.json` that is read, bytes.
+const MAX_RESULT: u64 = 1 << 20;
 
 /// What to do with a directory that exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,7 +76,7 @@ impl Resolved {
             Existing::Keep if occupied => {
                 bail!("{} exists; accepted: another --out, --resume, or --overwrite", root.display())
             }
-            Existing::Overwrite if occupied && dir.read_plan().is_err() => bail!(
+            Existing::Overwrite if occupied && !is_unborn(root) && dir.read_plan().is_err() => bail!(
                 "--overwrite: {} holds something that is not a run (it has no readable plan.bin); remove it yourself",
                 root.display()
             ),
@@ -96,18 +101,27 @@ impl Resolved {
             }
         }
         if self.config.run.mode != Mode::Reference {
-            check_shared_memory(Sizes::of(&plan).shared_memory_bytes())?;
+            check(&Needs::of(&plan))?;
         }
         let fresh = followed.is_none();
-        let replaced = if fresh && occupied { Some(move_aside(root)?) } else { None };
+        if !fresh {
+            remove_temporaries(root)?;
+        }
+        let replaced = if fresh && occupied && !is_unborn(root) { Some(move_aside(root)?) } else { None };
         let made = !root.exists();
-        let fence = match fence.filter(|_| !fresh) {
-            Some(fence) => fence,
-            None => make(root, fresh).inspect_err(|_| {
+        // The former directory stays locked until the new one is: nobody takes it for what a killed start left.
+        let (former, fence) = if replaced.is_some() { (fence, None) } else { (None, fence) };
+        let fence = match fence {
+            Some(fence) => {
+                clear_unborn(root)?;
+                fence
+            }
+            None => make(root, fresh, existing).inspect_err(|_| {
                 // Where the directory is another start's by now, what it would replace stays aside.
                 replaced.as_ref().map(|aside| fs::rename(aside, root));
             })?,
         };
+        drop(former);
         let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), fence };
         prepared.write(&self)?;
         Ok(prepared)
@@ -115,7 +129,7 @@ impl Resolved {
 
     /// What the run in `root` came to, if it has reached the limits of this configuration or stopped because it is solved.
     pub(crate) fn complete(&self, root: &Path) -> Option<RunResult> {
-        let text = fs::read_to_string(RunDir::new(root).result()).ok()?;
+        let text = regular_file::read_to_string(&RunDir::new(root).result(), MAX_RESULT).ok()?;
         let result: RunResult = serde_json::from_str(&text).ok()?;
         let stopped =
             self.config.run.stop_when_solved && result.solved_episode.is_some() && !result.interrupted;
@@ -183,8 +197,7 @@ impl Prepared {
     pub(crate) fn commit(&self) -> Result<()> {
         self.began.set(true);
         match &self.replaced {
-            Some(aside) if aside.exists() => fs::remove_dir_all(aside)
-                .with_context(|| format!("cannot remove the replaced run in {}", aside.display())),
+            Some(aside) if aside.exists() => discard(aside),
             _ => Ok(()),
         }
     }
@@ -197,14 +210,13 @@ impl Prepared {
     /// The tick that the link to the newest checkpoint names, whether that is sound or not: for whoever only wants to know
     /// whether the run gets ahead.
     pub(crate) fn last_checkpoint(&self) -> Option<u64> {
-        let target = fs::read_link(self.dir.last()).ok()?;
-        target.file_name()?.to_str()?.parse().ok()
+        checkpoint::last(self.dir.root())
     }
 
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(crate) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
-        check_shared_memory(Sizes::of(&self.plan).shared_memory_bytes())?;
+        check(&Needs::of(&self.plan))?;
         self.plan.run = draw()?;
         self.replace_learner(tick)
     }
@@ -230,11 +242,7 @@ impl Prepared {
     pub(crate) fn note(&self, text: &str) {
         let path = self.dir.log("supervisor");
         let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-        let written = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .and_then(|mut file| writeln!(file, "{seconds} {text}"));
+        let written = log_file::open(&path).and_then(|mut file| writeln!(file, "{seconds} {text}"));
         if let Err(error) = written {
             tracing::warn!("cannot write {}: {error}", path.display());
         }
@@ -258,7 +266,7 @@ impl Prepared {
     /// What the learner left as the outcome.
     pub(crate) fn read_result(&self) -> Result<RunResult> {
         let path = self.dir.result();
-        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = regular_file::read_to_string(&path, MAX_RESULT)?;
         serde_json::from_str(&text).with_context(|| format!("{} is no result", path.display()))
     }
 
@@ -299,7 +307,7 @@ impl Drop for Prepared {
 
 /// Makes the run directory `root`, if it is not there, and takes it for this process. It is its user's alone until that user
 /// says otherwise: it holds copies of demonstrations. One that is there keeps its mode.
-fn make(root: &Path, fresh: bool) -> Result<Fence> {
+fn make(root: &Path, fresh: bool, existing: Existing) -> Result<Fence> {
     let mut private = DirBuilder::new();
     private.mode(0o700);
     let made = root.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| private.create(root));
@@ -310,6 +318,9 @@ fn make(root: &Path, fresh: bool) -> Result<Fence> {
         _ => {}
     }
     let fence = Fence::take(root)?;
+    if existing == Existing::Overwrite {
+        clear_unborn(root)?;
+    }
     // Another start may have been quicker, and be over.
     ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
     Ok(fence)
@@ -322,7 +333,7 @@ fn save(path: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Removes all that is in `dir`.
-fn empty(dir: &Path) -> std::io::Result<()> {
+pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
     for entry in fs::read_dir(dir)? {
         let entry = entry?;
         if entry.file_type()?.is_dir() {
@@ -341,16 +352,6 @@ fn occupied(path: &Path) -> Result<bool> {
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
         Err(e) => Err(e).with_context(|| format!("cannot use {} as a run's directory", path.display())),
     }
-}
-
-/// Renames the run that is being replaced; returns where it is.
-fn move_aside(root: &Path) -> Result<PathBuf> {
-    let name = root.file_name().with_context(|| format!("{} has no name", root.display()))?;
-    let mut aside = name.to_os_string();
-    aside.push(format!(".replaced-{}", std::process::id()));
-    let aside = root.with_file_name(aside);
-    fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
-    Ok(aside)
 }
 
 /// The number of the learner's start after `generation`.

@@ -74,6 +74,19 @@ impl Fence {
     }
 }
 
+/// Takes the lock of the directory `root` if nobody has it; none where the file system knows no locks.
+///
+/// # Errors
+/// Somebody has it, or there is no such directory.
+pub(crate) fn try_lock(root: &Path) -> Result<Option<File>> {
+    let dir = File::open(root).with_context(|| format!("cannot open {}", root.display()))?;
+    match dir.try_lock() {
+        Ok(()) => Ok(Some(dir)),
+        Err(TryLockError::WouldBlock) => bail!("{} is in use", root.display()),
+        Err(TryLockError::Error(_)) => Ok(None),
+    }
+}
+
 /// Who has the lock of `dir`, as far as can be seen from here.
 fn holders(dir: &File) -> String {
     let Ok(wanted) = dir.metadata() else { return "an unknown process".into() };

@@ -3,7 +3,8 @@
 //! - `resolve`: the configuration meets its environment and its demonstrations, and becomes a plan;
 //! - `probes`: what the machine must offer;
 //! - `fence`: the lock of a run's directory;
-//! - `directory`: the run's directory is made, replaced, or taken over to go on in it.
+//! - `directory`: the run's directory is made, replaced, or taken over to go on in it;
+//! - `states`: what killed starts leave there and beside it.
 //!
 //! Everything that can be refused is refused before the first file is written.
 
@@ -11,6 +12,10 @@ mod directory;
 mod fence;
 mod probes;
 mod resolve;
+mod states;
 
 pub(crate) use directory::{Existing, Prepared};
+pub(crate) use fence::try_lock;
+pub(crate) use probes::{Needs, check, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};
+pub(crate) use states::{has_leftovers, nothing_saved, recover, replaced};

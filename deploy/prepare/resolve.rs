@@ -1,16 +1,17 @@
 //! From a configuration to a plan, or a refusal. Nothing is written here.
 
+use super::probes::Needs;
 use anyhow::{Context, Result, bail, ensure};
-use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise};
-use trestle_link::iceoryx::services::Sizes;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Config, Demos, PLAN, Threshold};
+use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::plan::{MentorPart, RunPlan};
+use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::space::EnvSpec;
 
@@ -66,7 +67,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     let dir = RunDir::new(root);
     let path = dir.config();
     let text =
-        fs::read_to_string(&path).with_context(|| format!("--resume: cannot read {}", path.display()))?;
+        regular_file::read_to_string(&path, MAX_TEXT_BYTES).context("--resume: cannot read the run")?;
     let mut own = config::parse_toml(&path.display().to_string(), &text)?;
     own.run.episodes = typed.run.episodes;
     own.run.env_steps = typed.run.env_steps;
@@ -212,8 +213,8 @@ impl Resolved {
         }
     }
 
-    /// Bytes of shared memory that a run takes, at the most.
-    pub(crate) fn shared_memory_bytes(&self) -> u64 {
-        Sizes::of(&self.plan(0, None)).shared_memory_bytes()
+    /// What a run takes of the machine, at the most.
+    pub(crate) fn needs(&self) -> Needs {
+        Needs::of(&self.plan(0, None))
     }
 }

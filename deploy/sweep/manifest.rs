@@ -1,13 +1,20 @@
 //! `sweep.json`: what a sweep's directory holds, so that `--resume` never mixes it with something else.
 
 use super::arms::Arm;
+use crate::prepare::try_lock;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use trestle_proto::rundir::{Durable, write_atomically};
+use trestle_proto::regular_file;
+use trestle_proto::rundir::{Durable, is_temporary, write_atomically};
 
+const MANIFEST: &str = "sweep.json";
+/// What the names of directories begin with in which a sweep finds out how fast its runs are.
+pub(super) const PROBE: &str = ".probe-";
+/// Largest sweep.json that is read, bytes: with all arms and seeds that there may be it is smaller.
+const MAX_BYTES: u64 = 16 << 20;
 /// Version of the layout of sweep.json.
 const FORMAT: u32 = 1;
 
@@ -37,7 +44,7 @@ impl Manifest {
     }
 
     fn path(out: &Path) -> PathBuf {
-        out.join("sweep.json")
+        out.join(MANIFEST)
     }
 
     /// Takes the directory `out` for this sweep: a new one, or with `resume` that of the same sweep, to which arms and
@@ -48,6 +55,7 @@ impl Manifest {
     pub(crate) fn claim(&self, out: &Path, resume: bool) -> Result<()> {
         let path = Self::path(out);
         let mut union = self.clone();
+        clear(out)?;
         if fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
             if !resume {
                 bail!(
@@ -55,7 +63,7 @@ impl Manifest {
                     out.display()
                 );
             }
-            let text = fs::read_to_string(&path)
+            let text = regular_file::read_to_string(&path, MAX_BYTES)
                 .with_context(|| format!("--resume: {} is no sweep's directory", out.display()))?;
             let before: Self =
                 serde_json::from_str(&text).with_context(|| format!("{} cannot be read", path.display()))?;
@@ -97,6 +105,37 @@ impl Manifest {
     }
 }
 
+/// Removes from the sweep's directory `out` what a sweep left that was killed in it: a sweep.json that was being written, and
+/// probes that no living sweep is at. A directory that holds something else and no sweep.json is somebody else's.
+fn clear(out: &Path) -> Result<()> {
+    let mut leftovers = Vec::new();
+    for entry in fs::read_dir(out).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        let is_dir = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        let torn = !is_dir && name.starts_with(&format!(".{MANIFEST}.")) && is_temporary(&name);
+        if torn || is_dir && name.starts_with(PROBE) {
+            leftovers.push((entry.path(), is_dir));
+        } else if !Manifest::path(out).exists() {
+            return Ok(());
+        }
+    }
+    for (path, is_dir) in leftovers {
+        let removed = match is_dir {
+            true if matches!(try_lock(&path), Ok(Some(_))) => fs::remove_dir_all(&path),
+            true => continue,
+            false => fs::remove_file(&path),
+        };
+        match removed {
+            Err(e) if e.kind() != ErrorKind::NotFound => {
+                return Err(e).with_context(|| format!("cannot remove {}", path.display()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -123,6 +162,12 @@ mod tests {
         assert!(changed.contains("arm a is [\"x=1\"] there, [\"x=9\"] here"), "{changed}");
         fs::remove_file(out.join("sweep.json")).unwrap();
         fs::write(out.join("notes"), "mine").unwrap();
+        fs::write(out.join(".sweep.json.7.tmp"), "mine, too").unwrap();
         assert!(sweep(&["a:x=1"], &[0]).claim(&out, true).is_err());
+        assert!(out.join(".sweep.json.7.tmp").exists(), "nothing of somebody else's is touched");
+        fs::remove_file(out.join("notes")).unwrap();
+        fs::create_dir_all(out.join(".probe-x/logs")).unwrap();
+        sweep(&["a:x=1"], &[0]).claim(&out, false).unwrap();
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 1);
     }
 }

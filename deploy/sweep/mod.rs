@@ -12,23 +12,20 @@ mod progress;
 pub(crate) mod seeds;
 
 use crate::flags::Limits;
-use crate::prepare::{Existing, Resolved, resolve, resolve_run};
+use crate::prepare::{Existing, Resolved, has_leftovers, nothing_saved, recover, resolve, resolve_run};
 use crate::supervise::display::Display;
 use crate::supervise::{Ended, Signals, supervise};
 use anyhow::{Context, Result};
 use estimate::{Pace, most_steps};
-use manifest::run_dir;
+use manifest::{PROBE, run_dir};
 use progress::Progress;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tokio::task::{JoinSet, LocalSet};
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
-use trestle_proto::rundir::{
-    BUILD_FILE, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR,
-};
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
@@ -128,7 +125,11 @@ impl Sweep {
 
     async fn all(&self) -> Result<Swept> {
         let mut signals = Signals::new()?;
-        let mut outcomes: Vec<Option<Outcome>> = self.jobs.iter().map(finished).collect();
+        let parents: BTreeSet<&Path> = self.jobs.iter().filter_map(|job| job.dir.parent()).collect();
+        let disturbed: BTreeSet<&Path> = parents.into_iter().filter(|parent| has_leftovers(parent)).collect();
+        let is_disturbed = |job: &Job| job.dir.parent().is_some_and(|parent| disturbed.contains(parent));
+        let mut outcomes: Vec<Option<Outcome>> =
+            self.jobs.iter().map(|job| finished(job, is_disturbed(job))).collect();
         for (at, outcome) in outcomes.iter().enumerate() {
             if let Some(Outcome::Failed(error)) = outcome {
                 crate::output::say(&format!("{}: failed: {error}", self.name(at)));
@@ -212,9 +213,8 @@ impl Sweep {
         loop {
             while running.len() < self.at_once {
                 let Some(at) = waiting.pop_front() else { break };
-                // On the disk that the runs write to.
-                let (job, place) = (self.jobs[at].clone(), ProbeDir(self.out.join(format!(".probe-{at}"))));
-                running.spawn_local(async move { (at, probe(&job, &place).await) });
+                let (job, out) = (self.jobs[at].clone(), self.out.clone());
+                running.spawn_local(async move { (at, probe(&job, &out).await) });
             }
             match running.join_next().await {
                 None => return paces,
@@ -227,19 +227,6 @@ impl Sweep {
                 }
                 Some(Err(error)) => tracing::debug!("a probe's supervision ended in the middle: {error}"),
             }
-        }
-    }
-}
-
-/// The directory of a probe, which goes with it, also where the sweep is interrupted meanwhile.
-struct ProbeDir(PathBuf);
-
-impl Drop for ProbeDir {
-    fn drop(&mut self) {
-        if self.0.exists()
-            && let Err(error) = std::fs::remove_dir_all(&self.0)
-        {
-            tracing::warn!("cannot remove {}: {error}", self.0.display());
         }
     }
 }
@@ -262,24 +249,22 @@ fn unfinished(outcomes: Vec<Option<Outcome>>) -> Vec<Outcome> {
     outcomes.into_iter().map(|outcome| outcome.unwrap_or(Outcome::Unfinished)).collect()
 }
 
-/// The outcome of a job that needs nothing more: one that has run its whole length, or whose directory cannot be used.
-fn finished(job: &Job) -> Option<Outcome> {
-    if !job.dir.exists() || is_unborn(&job.dir) {
+/// The outcome of a job that needs nothing more: one that has run its whole length, or whose directory cannot be used. Where a
+/// killed start has left something beside its directory, that is put right first.
+fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
+    if disturbed {
+        match recover(&job.dir) {
+            Ok(notes) => notes.iter().for_each(|note| crate::output::say(note)),
+            Err(error) => return Some(Outcome::Failed(crate::output::words(&error))),
+        }
+    }
+    if !job.dir.exists() || nothing_saved(&job.dir) {
         return None;
     }
     match existing(job) {
         Ok(resolved) => resolved.complete(&job.dir).map(|result| Outcome::Complete(Box::new(result))),
         Err(error) => Some(Outcome::Failed(crate::output::words(&error))),
     }
-}
-
-/// Whether `dir` holds no more than what a start leaves that was killed before the run had a plan.
-fn is_unborn(dir: &Path) -> bool {
-    const FIRST: [&str; 6] =
-        [CONFIG_FILE, COMMAND_FILE, BUILD_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR];
-    let known = |name: &std::ffi::OsStr| FIRST.iter().any(|first| name == *first);
-    std::fs::read_dir(dir)
-        .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|e| known(&e.file_name()))))
 }
 
 /// The configuration of a run that is there already, which must be what it would be now.
@@ -300,10 +285,9 @@ async fn train(job: &Job, display: &Display) -> Outcome {
 /// Trains a run to its end: from its newest checkpoint, or anew where there is none.
 async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
     let mut signals = Signals::new()?;
-    if is_unborn(&job.dir) {
-        std::fs::remove_dir_all(&job.dir).with_context(|| format!("cannot remove {}", job.dir.display()))?;
-    }
-    let (resolved, way) = if job.dir.exists() {
+    let (resolved, way) = if nothing_saved(&job.dir) {
+        (resolve(job.config.clone())?, Existing::Overwrite)
+    } else if job.dir.exists() {
         let resolved = existing(job)?;
         match resolved.has_checkpoint(&job.dir)? {
             true => (resolved, Existing::Resume),
@@ -316,13 +300,15 @@ async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
     supervise(&mut prepared, &mut signals, display).await
 }
 
-/// Environment steps a second of a short run like `job`'s in `dir`.
-async fn probe(job: &Job, place: &ProbeDir) -> Result<f64> {
+/// Environment steps a second of a short run like `job`'s, in a directory within `out` that goes with it, also where the sweep
+/// is interrupted meanwhile: on the disk that the runs write to.
+async fn probe(job: &Job, out: &Path) -> Result<f64> {
+    let place = tempfile::Builder::new().prefix(PROBE).tempdir_in(out).context("cannot make a directory")?;
     let mut config = job.config.clone();
     let steps = config.learner.warmup + PROBE_STEPS;
     config.run.env_steps = Some(config.run.env_steps.map_or(steps, |most| most.min(steps)));
     let mut signals = Signals::new()?;
-    let mut prepared = resolve(config)?.prepare(&place.0, Existing::Overwrite)?;
+    let mut prepared = resolve(config)?.prepare(place.path(), Existing::Keep)?;
     match supervise(&mut prepared, &mut signals, &Display::quiet()).await? {
         Ended::Complete(result) => Ok(result.env_steps as f64 / result.wall_s.max(1e-3)),
         Ended::Interrupted(_) => anyhow::bail!("interrupted"),
@@ -344,17 +330,6 @@ mod tests {
         let expected =
             expected.map(|(arm, seed)| (Path::new("out").join(arm).join(format!("seed-{seed}")), seed));
         assert_eq!(order, expected);
-    }
-
-    #[test]
-    fn only_the_beginning_of_a_run_is_begun_anew() {
-        let dir = tempfile::tempdir().unwrap();
-        let write = |name: &str| std::fs::write(dir.path().join(name), "").unwrap();
-        assert!(is_unborn(dir.path()));
-        write("config.toml");
-        assert!(is_unborn(dir.path()));
-        write("notes.txt");
-        assert!(!is_unborn(dir.path()) && !is_unborn(&dir.path().join("absent")));
     }
 
     #[test]

@@ -6,10 +6,12 @@
 
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use trestle_proto::config::{self, Config};
+use trestle_proto::limits::MAX_TEXT_BYTES;
+use trestle_proto::regular_file::{self, FileError};
 use trestle_proto::rundir::RunDir;
 
 /// Points that are kept of a series, at most.
@@ -20,6 +22,10 @@ pub const MAX_DEPTH: usize = 4;
 pub const MAX_RUNS: usize = 10_000;
 /// Longest line of a record that is looked at, bytes; longer ones are passed over.
 const MAX_LINE: u64 = 1 << 16;
+/// Largest result.json that is read, bytes.
+const MAX_RESULT: u64 = 1 << 20;
+/// Largest record that is read, evals.csv or metrics.jsonl, bytes.
+const MAX_RECORD: u64 = 4 << 30;
 
 /// A report without runs, or a directory that cannot be listed.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +89,8 @@ pub struct Outcome {
     pub best_return: Option<f64>,
     /// Return of the last evaluation.
     pub final_return: Option<f64>,
+    /// SHA-256 of the final weights.
+    pub weights_sha256: Option<String>,
     /// Whether the run ended before its limits.
     pub interrupted: bool,
 }
@@ -157,6 +165,8 @@ pub struct Run {
     pub arm: String,
     /// What it was trained on.
     pub task: String,
+    /// What tells its last start from all others, if that is known: a copy has the same.
+    pub start: Option<u64>,
     /// Its resolved configuration.
     pub config: Config,
     /// What it came to, if it has come to something.
@@ -189,12 +199,12 @@ impl Run {
 /// # Errors
 /// A directory that cannot be listed, no run at all, or too many of them.
 pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
-    let mut paths = Vec::new();
-    find(root, 0, &mut paths)?;
+    let (mut paths, mut notes) = (Vec::new(), Vec::new());
+    find(root, 0, &mut paths, &mut notes)?;
     if paths.len() > MAX_RUNS {
         return Err(ReadError::TooMany { path: root.into() });
     }
-    let (mut runs, mut notes) = (Vec::new(), Vec::new());
+    let mut runs = Vec::new();
     for path in paths {
         match read_run(root, &path, &mut notes) {
             Ok(run) => runs.push((place(root, &path).0, run)),
@@ -209,6 +219,7 @@ pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
         });
     }
     let mut runs = name_tasks(runs);
+    leave_out_copies(root, &mut runs, &mut notes);
     runs.sort_by(|a, b| {
         let key = |run: &Run| (run.task.clone(), run.arm.clone(), run.config.run.seed, run.path.clone());
         key(a).cmp(&key(b))
@@ -231,8 +242,54 @@ fn name_tasks(runs: Vec<(String, Run)>) -> Vec<Run> {
     runs.into_iter().map(name).collect()
 }
 
+/// Takes those runs out that are another one of them once more, and notes each: a copy of its directory, or the same task, arm
+/// and seed with the same weights. Of several the one stays that lies where its seed says. It also notes directories that are
+/// called after another seed than that of their run.
+fn leave_out_copies(root: &Path, runs: &mut Vec<Run>, notes: &mut Vec<String>) {
+    let seed_of = |path: &Path| path.file_name()?.to_str()?.strip_prefix("seed-")?.parse::<u64>().ok();
+    runs.sort_by_key(|run| (seed_of(&run.path) != Some(run.config.run.seed), run.path.clone()));
+    let mut by_start: BTreeMap<u64, PathBuf> = BTreeMap::new();
+    let mut by_weights: BTreeMap<(String, String, u64, String), PathBuf> = BTreeMap::new();
+    runs.retain(|run| {
+        let seed = run.config.run.seed;
+        let weights = run.outcome.as_ref().and_then(|outcome| outcome.weights_sha256.clone());
+        let weights = weights.map(|weights| (run.task.clone(), run.arm.clone(), seed, weights));
+        let same_start = run.start.and_then(|start| by_start.get(&start));
+        let same_weights = weights.as_ref().and_then(|weights| by_weights.get(weights));
+        if let Some(original) = same_start.or(same_weights) {
+            notes.push(format!(
+                "{} is not counted: it is a copy of {} (arm {}, seed {seed})",
+                run.path.display(),
+                original.display(),
+                run.arm
+            ));
+            return false;
+        }
+        if let Some(named) = seed_of(&run.path).filter(|&named| named != seed && run.path != root) {
+            notes.push(format!(
+                "{} is called after seed {named}; its run is of seed {seed}",
+                run.path.display()
+            ));
+        }
+        by_start.extend(run.start.map(|start| (start, run.path.clone())));
+        by_weights.extend(weights.map(|weights| (weights, run.path.clone())));
+        true
+    });
+}
+
+/// The name before the mark of a run that waits beside its directory while an `--overwrite` takes its place.
+fn replaced(name: &str) -> Option<&str> {
+    let (name, process) = name.rsplit_once(".replaced-")?;
+    (!process.is_empty() && process.bytes().all(|byte| byte.is_ascii_digit())).then_some(name)
+}
+
 /// Directories with a `config.toml`, themselves not searched any deeper.
-fn find(dir: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), ReadError> {
+fn find(
+    dir: &Path,
+    depth: usize,
+    found: &mut Vec<PathBuf>,
+    notes: &mut Vec<String>,
+) -> Result<(), ReadError> {
     if RunDir::new(dir).config().is_file() {
         found.push(dir.into());
         return Ok(());
@@ -246,35 +303,49 @@ fn find(dir: &Path, depth: usize, found: &mut Vec<PathBuf>) -> Result<(), ReadEr
         let entry = entry.map_err(fault)?;
         // A link is not followed: it may lead back.
         // What is hidden is somebody's scratch.
-        let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-        if !hidden && entry.file_type().map_err(fault)?.is_dir() {
+        let name = entry.file_name();
+        let hidden = name.as_encoded_bytes().starts_with(b".");
+        if let Some(name) = name.to_str().and_then(replaced) {
+            let path = entry.path();
+            notes.push(format!(
+                "{} is not counted: it is {name} as it was before an --overwrite that was killed, or that is only just \
+                 starting; the next start in {name} puts it back",
+                path.display()
+            ));
+        } else if !hidden && entry.file_type().map_err(fault)?.is_dir() {
             below.push(entry.path());
         }
     }
     below.sort();
-    below.iter().try_for_each(|path| find(path, depth + 1, found))
+    below.iter().try_for_each(|path| find(path, depth + 1, found, notes))
 }
 
 fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, String> {
     let dir = RunDir::new(path);
     let file = dir.config();
-    let text = fs::read_to_string(&file).map_err(|e| format!("{}: {e}", file.display()))?;
+    let text = regular_file::read_to_string(&file, MAX_TEXT_BYTES).map_err(|e| e.to_string())?;
     let config = config::parse_toml(&file.display().to_string(), &text).map_err(|e| e.to_string())?;
-    let outcome = match fs::read(dir.result()) {
+    let outcome: Option<Outcome> = match regular_file::read(&dir.result(), MAX_RESULT) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .map_err(|e| notes.push(format!("{} cannot be read: {e}", dir.result().display())))
             .ok(),
-        Err(_) => None,
+        Err(error) if error.is_not_found() => None,
+        Err(error) => {
+            notes.push(error.to_string());
+            None
+        }
     };
-    let outcome: Option<Outcome> = outcome;
+    let plan = dir.read_plan();
+    let start = plan.as_ref().ok().map(|plan| plan.run);
     let task = match &outcome {
         Some(outcome) => outcome.env.clone(),
-        None => dir.read_plan().map(|plan| plan.spec.name).map_err(|e| e.to_string())?,
+        None => plan.map(|plan| plan.spec.name).map_err(|e| e.to_string())?,
     };
     let mut run = Run {
         path: path.into(),
         arm: place(root, path).1.unwrap_or_else(|| config.arm()),
         task,
+        start,
         config,
         outcome,
         evaluations: Series::default(),
@@ -303,6 +374,16 @@ fn place(root: &Path, path: &Path) -> (String, Option<String>) {
     find().map_or_else(|| (String::new(), None), |(above, arm)| (above, Some(arm)))
 }
 
+/// What is wrong with a file whose path is said already.
+fn kind_of(error: &FileError) -> String {
+    match error {
+        FileError::Io { error, .. } => error.to_string(),
+        FileError::Kind { kind, .. } => format!("{kind}; accepted: a regular file"),
+        FileError::Large { bytes, limit, .. } => format!("{bytes} bytes; accepted: up to {limit}"),
+        FileError::NotText { .. } => "not text".into(),
+    }
+}
+
 /// A line of evals.csv.
 #[derive(Deserialize)]
 struct Evaluation {
@@ -313,7 +394,8 @@ struct Evaluation {
 }
 
 fn read_evaluations(path: &Path, run: &mut Run) -> Result<(), String> {
-    let mut reader = csv::Reader::from_path(path).map_err(|e| e.to_string())?;
+    let file = regular_file::open(path, MAX_RECORD).map_err(|e| kind_of(&e))?;
+    let mut reader = csv::Reader::from_reader(file.take(MAX_RECORD));
     for row in reader.deserialize() {
         // The last line of a run that is still going on may be half written.
         let Ok(Evaluation { episode, env_steps, value }) = row else { break };
@@ -342,7 +424,8 @@ struct Metrics {
 }
 
 fn read_metrics(path: &Path, run: &mut Run) -> Result<(), String> {
-    let mut file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
+    let file = regular_file::open(path, MAX_RECORD).map_err(|e| kind_of(&e))?;
+    let mut file = BufReader::new(file.take(MAX_RECORD));
     let mut line = Vec::new();
     loop {
         line.clear();
@@ -399,11 +482,62 @@ mod tests {
     }
 
     #[test]
+    fn a_copy_is_no_other_run() {
+        let run = |path: &str, arm: &str, start, weights: Option<&str>, seed| {
+            let mut config = Config::default();
+            config.run.seed = seed;
+            let text =
+                r#"{"env":"m","episodes":1,"env_steps":2,"grad_steps":3,"wall_s":4.0,"interrupted":false}"#;
+            let mut outcome: Outcome = serde_json::from_str(text).unwrap();
+            outcome.weights_sha256 = weights.map(String::from);
+            Run {
+                path: path.into(),
+                arm: arm.into(),
+                task: "m".into(),
+                start,
+                config,
+                outcome: weights.is_some().then_some(outcome),
+                evaluations: Series::default(),
+                training: Series::default(),
+                feasible: Series::default(),
+                bridged: Series::default(),
+                e_kl: Series::default(),
+            }
+        };
+        let mut runs = vec![
+            run("s/dqn/copy", "dqn", Some(1), Some("aa"), 1),
+            run("s/dqn/seed-1", "dqn", Some(1), Some("aa"), 1),
+            // Gone on with since it was copied, to the same end.
+            run("s/dqn/seed-1.bak", "dqn", Some(9), Some("aa"), 1),
+            // A copy under another arm's name, and one of a run that is not over.
+            run("s/new/seed-1", "new", Some(1), Some("aa"), 1),
+            run("s/dqn/seed-2", "dqn", Some(2), None, 2),
+            run("s/dqn/seed-2-bak", "dqn", Some(2), None, 2),
+            // The same settings under two names are two arms, and equal runs of two seeds are two runs.
+            run("s/same/seed-1", "same", Some(3), Some("aa"), 1),
+            run("s/dqn/seed-3", "dqn", Some(4), Some("aa"), 3),
+            run("s/dqn/seed-7", "dqn", Some(5), Some("bb"), 4),
+        ];
+        let mut notes = Vec::new();
+        leave_out_copies(Path::new("s"), &mut runs, &mut notes);
+        let mut left: Vec<&str> = runs.iter().map(|run| run.path.to_str().unwrap()).collect();
+        left.sort_unstable();
+        let expected = ["s/dqn/seed-1", "s/dqn/seed-2", "s/dqn/seed-3", "s/dqn/seed-7", "s/same/seed-1"];
+        assert_eq!(left, expected);
+        assert_eq!(notes.iter().filter(|note| note.contains("is not counted: it is a copy of")).count(), 4);
+        assert!(
+            notes.iter().any(|note| note.contains("seed-7 is called after seed 7; its run is of seed 4"))
+        );
+        assert_eq!([replaced("best.replaced-45"), replaced("best.replaced-x")], [Some("best"), None]);
+    }
+
+    #[test]
     fn directories_tell_tasks_of_one_environment_apart() {
         let run = |task: &str| Run {
             path: PathBuf::new(),
             arm: "dqn".into(),
             task: task.into(),
+            start: None,
             config: Config::default(),
             outcome: None,
             evaluations: Series::default(),

@@ -17,7 +17,9 @@ use crate::stats::Estimate;
 use crate::summary::{self, ArmSummary, Comparison, Group, Task, Time, order};
 use serde::Serialize;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
+use trestle_proto::own_file;
 
 /// Version of the layout of report.json.
 const FORMAT: u32 = 1;
@@ -192,7 +194,9 @@ struct Output<'a> {
 impl Output<'_> {
     fn file(&self, name: &str, bytes: &[u8]) -> Result<(), WriteError> {
         let path = self.dir.join(name);
-        fs::write(&path, bytes).map_err(|source| WriteError::Io { path, source })
+        own_file::create(&path)
+            .and_then(|mut file| file.write_all(bytes))
+            .map_err(|source| WriteError::Io { path, source })
     }
 
     fn csv<R: Serialize>(&self, name: &str, rows: impl IntoIterator<Item = R>) -> Result<(), WriteError> {

@@ -1,0 +1,268 @@
+//! What a killed start leaves in a run's directory and beside it, and how the next command puts it right.
+//!
+//! - *Unborn*: the start was killed before the run had a plan. Nothing in it is worth keeping.
+//! - *Untrained*: it has a plan, but neither a checkpoint nor a result. It begins anew.
+//! - *Replaced*: `NAME.replaced-PID` beside it is a run as it was before `--overwrite`. It comes back unless the new run has
+//!   got as far as a checkpoint or a result.
+//! - *Removed*: `.NAME.removed-PID` is what was on its way out.
+
+use super::directory::empty;
+use super::fence::try_lock;
+use anyhow::{Context, Result};
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+use trestle_learner::checkpoint;
+use trestle_proto::rundir::{
+    BUILD_FILE, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR, RunDir,
+    is_temporary,
+};
+
+/// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
+pub(crate) fn is_unborn(root: &Path) -> bool {
+    const FIRST: [&str; 6] =
+        [CONFIG_FILE, COMMAND_FILE, BUILD_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR];
+    let mut some = false;
+    let known = |name: &str| FIRST.contains(&name) || is_temporary(name);
+    fs::read_dir(root).is_ok_and(|mut entries| {
+        entries.all(|entry| {
+            some = true;
+            entry.is_ok_and(|entry| entry.file_name().to_str().is_some_and(known))
+        })
+    }) && some
+}
+
+/// Whether the run in `root` has nothing that it could go on from or that it came to.
+pub(crate) fn nothing_saved(root: &Path) -> bool {
+    let dir = RunDir::new(root);
+    let untrained = || {
+        dir.plan().is_file() && !dir.result().exists() && checkpoint::any_complete(root).is_ok_and(|any| !any)
+    };
+    is_unborn(root) || untrained()
+}
+
+/// Removes what a kill left of files that were being written into `root`.
+pub(super) fn remove_temporaries(root: &Path) -> Result<()> {
+    for dir in [root.to_path_buf(), root.join(DEMONSTRATIONS_DIR)] {
+        for entry in fs::read_dir(&dir).into_iter().flatten().flatten() {
+            let temporary = entry.file_name().to_str().is_some_and(is_temporary);
+            if temporary && entry.file_type().is_ok_and(|kind| !kind.is_dir()) {
+                let path = entry.path();
+                fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Renames the run that is being replaced; returns where it is.
+pub(super) fn move_aside(root: &Path) -> Result<PathBuf> {
+    let name = root.file_name().with_context(|| format!("{} has no name", root.display()))?;
+    let mut aside = name.to_os_string();
+    aside.push(format!("{REPLACED}{}", std::process::id()));
+    let aside = root.with_file_name(aside);
+    fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
+    Ok(aside)
+}
+
+/// Removes the run in `path`: out of the way first, so that a kill never leaves a part of it that looks like a run.
+pub(super) fn discard(path: &Path) -> Result<()> {
+    let name = path.file_name().with_context(|| format!("{} has no name", path.display()))?;
+    let name = name.to_string_lossy();
+    let name = name.rsplit_once(REPLACED).map_or(name.as_ref(), |(name, _)| name);
+    let gone = path.with_file_name(format!(".{name}{REMOVED}{}", std::process::id()));
+    fs::rename(path, &gone)
+        .and_then(|()| fs::remove_dir_all(&gone))
+        .with_context(|| format!("cannot remove {}", path.display()))
+}
+
+/// Follows the name of a run that waits while another takes its place, before the process that replaces it.
+const REPLACED: &str = ".replaced-";
+/// The same of one that is being removed; there is a dot before the name.
+const REMOVED: &str = ".removed-";
+
+/// Directories beside `root` with its name between `before` and `mark`, and a process id at the end, by name.
+fn beside(root: &Path, before: &str, mark: &str) -> Vec<PathBuf> {
+    let Some(name) = root.file_name() else { return Vec::new() };
+    let mut start = OsString::from(before);
+    start.push(name);
+    start.push(mark);
+    let is_id = |rest: &[u8]| !rest.is_empty() && rest.iter().all(u8::is_ascii_digit);
+    let parent = root.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut found: Vec<PathBuf> = fs::read_dir(parent)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| {
+            let name = entry.file_name();
+            let rest = name.as_encoded_bytes().strip_prefix(start.as_encoded_bytes());
+            rest.is_some_and(is_id) && entry.file_type().is_ok_and(|kind| kind.is_dir())
+        })
+        .map(|entry| root.with_file_name(entry.file_name()))
+        .collect();
+    found.sort();
+    found
+}
+
+/// Whether `parent` holds anything that killed starts leave beside the directories of runs.
+pub(crate) fn has_leftovers(parent: &Path) -> bool {
+    let is_mark = |name: &str| name.contains(REPLACED) || name.contains(REMOVED);
+    let entries = fs::read_dir(parent).into_iter().flatten().flatten();
+    entries.into_iter().any(|entry| is_mark(&entry.file_name().to_string_lossy()))
+}
+
+/// The runs beside `root` that wait for a killed `--overwrite`, or for one that is only just starting.
+pub(crate) fn replaced(root: &Path) -> Vec<PathBuf> {
+    beside(root, "", REPLACED)
+}
+
+/// Puts right what a killed `--overwrite` left beside `root`; returns what the user should know. What a living process is
+/// busy with is left alone.
+///
+/// # Errors
+/// A directory that cannot be moved.
+pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
+    let mut said = Vec::new();
+    for gone in beside(root, ".", REMOVED) {
+        // Another process may be removing it; what remains is tried again the next time.
+        let _ = fs::remove_dir_all(gone);
+    }
+    // Of several the one that was moved last is what was there.
+    let mut waiting = replaced(root);
+    waiting.sort_by_key(|aside| fs::symlink_metadata(aside).and_then(|meta| meta.modified()).ok());
+    while let Some(aside) = waiting.pop() {
+        let of_aside = match try_lock(&aside) {
+            Err(_) => continue,
+            Ok(None) => {
+                // Nobody knows who is at it.
+                said.push(format!("note: {} is a run that was to be replaced", aside.display()));
+                continue;
+            }
+            Ok(of_aside) => of_aside,
+        };
+        if root.exists() {
+            let Ok(Some(_of_root)) = try_lock(root) else { continue };
+            if occupied(root) && !nothing_saved(root) {
+                said.push(format!(
+                    "note: {} is a run that was to be replaced by {}; remove it, or rename it to keep it",
+                    aside.display(),
+                    root.display()
+                ));
+                continue;
+            }
+            if occupied(root) {
+                discard(root)?;
+            } else {
+                fs::remove_dir(root).with_context(|| format!("cannot remove {}", root.display()))?;
+            }
+        }
+        fs::rename(&aside, root)
+            .with_context(|| format!("cannot put {} back as {}", aside.display(), root.display()))?;
+        drop(of_aside);
+        said.push(format!(
+            "note: {} is back as it was: an --overwrite of it was killed before anything new was saved",
+            root.display()
+        ));
+    }
+    Ok(said)
+}
+
+fn occupied(root: &Path) -> bool {
+    fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_some())
+}
+
+/// Empties `root`, which this process has locked, of what a killed start left there.
+pub(super) fn clear_unborn(root: &Path) -> Result<()> {
+    if is_unborn(root) {
+        empty(root).with_context(|| format!("cannot empty {}", root.display()))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn write(path: PathBuf) {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "").unwrap();
+    }
+
+    #[test]
+    fn only_the_beginning_of_a_run_is_begun_anew() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        assert!(!is_unborn(root) && !nothing_saved(root), "an empty directory is nobody's");
+        for name in [".config.toml.17.tmp", "config.toml", "logs/x", "demonstrations/a.csv"] {
+            write(root.join(name));
+            assert!(is_unborn(root) && nothing_saved(root), "{name}");
+        }
+        write(root.join("plan.bin"));
+        write(root.join("evals.csv"));
+        assert!(!is_unborn(root) && nothing_saved(root));
+        write(root.join("checkpoints/000000000001/model.safetensors"));
+        assert!(nothing_saved(root), "a checkpoint that is not complete");
+        write(root.join("checkpoints/000000000001/COMPLETE"));
+        assert!(!nothing_saved(root));
+        fs::remove_dir_all(root.join("checkpoints")).unwrap();
+        write(root.join("result.json"));
+        assert!(!nothing_saved(root));
+        fs::remove_file(root.join("plan.bin")).unwrap();
+        assert!(!is_unborn(root) && !is_unborn(&root.join("absent")));
+    }
+
+    /// Every state that a kill in the middle of `--overwrite` can leave ends with the one run that counts.
+    #[test]
+    fn a_replaced_run_comes_back_unless_the_new_one_has_saved_something() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("best");
+        let aside = dir.path().join("best.replaced-45");
+        let news: [&[&str]; 4] =
+            [&[], &["config.toml"], &["plan.bin", "logs/learner.log"], &["plan.bin", "evals.csv"]];
+        for (at, new) in news.into_iter().enumerate() {
+            write(aside.join("former"));
+            new.iter().for_each(|name| write(root.join(name)));
+            if at == 0 {
+                fs::create_dir(&root).unwrap();
+            }
+            assert!(recover(&root).unwrap()[0].contains("best is back"), "{new:?}");
+            assert!(root.join("former").exists() && !aside.exists(), "{new:?}");
+            assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "{new:?}");
+            fs::remove_dir_all(&root).unwrap();
+        }
+        // Before the new directory was made.
+        write(aside.join("former"));
+        assert_eq!(recover(&root).unwrap().len(), 1);
+        assert!(root.join("former").exists());
+        assert!(recover(&root).unwrap().is_empty(), "nothing is left to do");
+        // The new run has saved something: neither is touched.
+        write(root.join("plan.bin"));
+        write(root.join("result.json"));
+        write(aside.join("older"));
+        assert!(recover(&root).unwrap()[0].contains("best.replaced-45 is a run that was to be replaced"));
+        assert!(aside.exists() && root.join("former").exists());
+        // What is being removed is removed to the end, and other names are nobody's.
+        write(dir.path().join(".best.removed-7/half"));
+        let others = ["best.replaced-", "best.replaced-x", "bestial.replaced-4", ".best.removed-"];
+        others.iter().for_each(|name| write(dir.path().join(name).join("mine")));
+        recover(&root).unwrap();
+        assert!(!dir.path().join(".best.removed-7").exists());
+        assert!(others.iter().all(|name| dir.path().join(name).exists()));
+    }
+
+    #[test]
+    fn a_run_in_progress_is_left_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (root, aside) = (dir.path().join("best"), dir.path().join("best.replaced-45"));
+        write(aside.join("former"));
+        write(root.join("plan.bin"));
+        let held = try_lock(&root).unwrap();
+        assert!(recover(&root).unwrap().is_empty() && aside.exists());
+        drop(held);
+        let held = try_lock(&aside).unwrap();
+        assert!(recover(&root).unwrap().is_empty() && aside.exists());
+        drop(held);
+        assert_eq!(recover(&root).unwrap().len(), 1);
+    }
+}
