@@ -1,6 +1,6 @@
-//! Runs as a report sees them: found below a directory, read one after the other, reduced to what is drawn.
+//! Runs as a report sees them: found below a directory, read one after the other, reduced to tables and curves.
 //!
-//! A run is a directory with a `config.toml`. What it lacks beyond that is missing from the report and said to be; no
+//! A run is a directory with a `config.toml`. Other missing files are missing from the report, and it says so; no
 //! single run can spoil the others'. Memory does not grow with a run's length: a series that gets longer than
 //! [`MAX_POINTS`] is thinned out to every second point, and so on.
 
@@ -51,7 +51,7 @@ pub enum ReadError {
     Unreadable {
         /// The directory.
         path: PathBuf,
-        /// What is wrong with the first of them.
+        /// The fault of the first of them.
         first: String,
     },
     /// Too much to report on.
@@ -62,7 +62,7 @@ pub enum ReadError {
     },
 }
 
-/// What `result.json` says.
+/// The contents of `result.json`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Outcome {
     /// Name of the environment.
@@ -163,13 +163,13 @@ pub struct Run {
     pub path: PathBuf,
     /// The arm of the comparison that it belongs to.
     pub arm: String,
-    /// What it was trained on.
+    /// Its task.
     pub task: String,
-    /// What tells its last start from all others, if that is known: a copy has the same.
+    /// The mark of its last start, if that is known: a copy has the same one.
     pub start: Option<u64>,
     /// Its resolved configuration.
     pub config: Config,
-    /// What it came to, if it has come to something.
+    /// Its outcome, if it has one.
     pub outcome: Option<Outcome>,
     /// Return of the greedy evaluations.
     pub evaluations: Series,
@@ -184,13 +184,13 @@ pub struct Run {
 }
 
 impl Run {
-    /// What it came to, if it has run its whole length.
+    /// Its outcome, if it has run its whole length.
     pub fn complete(&self) -> Option<&Outcome> {
         self.outcome.as_ref().filter(|outcome| !outcome.interrupted)
     }
 }
 
-/// The runs below `root`, ordered by task, arm and seed, and what was missing or passed over.
+/// The runs below `root`, ordered by task, arm and seed, and notes about everything missing or passed over.
 ///
 /// The arm of a run in `<arm>/seed-<N>` below `root` is `<arm>`; of any other run it is the name of its algorithm. The
 /// task is the environment's name, and where runs in several directories above their arms' have the same environment, that
@@ -242,9 +242,9 @@ fn name_tasks(runs: Vec<(String, Run)>) -> Vec<Run> {
     runs.into_iter().map(name).collect()
 }
 
-/// Takes those runs out that are another one of them once more, and notes each: a copy of its directory, or the same task, arm
-/// and seed with the same weights. Of several the one stays that lies where its seed says. It also notes directories that are
-/// called after another seed than that of their run.
+/// Takes out runs that repeat another one, and notes each: a copy of its directory, or the same task, arm and seed with the
+/// same weights. Of several copies the one in the directory of its seed stays. It also notes directories whose name has another
+/// seed than their run.
 fn leave_out_copies(root: &Path, runs: &mut Vec<Run>, notes: &mut Vec<String>) {
     let seed_of = |path: &Path| path.file_name()?.to_str()?.strip_prefix("seed-")?.parse::<u64>().ok();
     runs.sort_by_key(|run| (seed_of(&run.path) != Some(run.config.run.seed), run.path.clone()));
@@ -302,7 +302,7 @@ fn find(
     for entry in fs::read_dir(dir).map_err(fault)? {
         let entry = entry.map_err(fault)?;
         // A link is not followed: it may lead back.
-        // What is hidden is somebody's scratch.
+        // A hidden directory is a program's scratch space.
         let name = entry.file_name();
         let hidden = name.as_encoded_bytes().starts_with(b".");
         if let Some(name) = name.to_str().and_then(replaced) {
@@ -374,7 +374,7 @@ fn place(root: &Path, path: &Path) -> (String, Option<String>) {
     find().map_or_else(|| (String::new(), None), |(above, arm)| (above, Some(arm)))
 }
 
-/// What is wrong with a file whose path is said already.
+/// The fault of a file, for a message that names its path already.
 fn kind_of(error: &FileError) -> String {
     match error {
         FileError::Io { error, .. } => error.to_string(),
