@@ -14,8 +14,8 @@ use trestle_mentor_server::run::mentor_of;
 use trestle_proto::batch::Batch;
 use trestle_proto::config;
 use trestle_proto::observe::Observed;
+use trestle_proto::orders::Collect;
 use trestle_proto::plan::{MentorPart, RunPlan};
-use trestle_proto::tick::{COLLECT, Tick};
 use trestle_qnet::{Isa, Kernels};
 
 fn main() -> Result<()> {
@@ -83,9 +83,9 @@ fn ticks(times: u64) -> Result<()> {
     let (mut batch, mut observed) = (Batch::default(), Observed::default());
     for number in 1..=times {
         let env_steps = agent.counters().env_steps;
-        let amount = plan.config.run.rollout;
-        let tick = Tick { run: 1, tick: number, env_steps, kind: COLLECT, amount, ..Tick::default() };
-        worker.collect(agent.acting(), &tick, &mut batch)?;
+        let steps = plan.config.run.rollout;
+        let order = Collect { run: 1, round: number, env_steps, steps, ..Collect::default() };
+        worker.collect(agent.acting(), &order, &mut batch)?;
         mentor.observe(env_steps, 0, &batch, &mut observed)?;
         agent.ingest(&batch, Some(&observed))?;
         agent.train(|| ())?;

@@ -73,8 +73,8 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
         if session.done() {
             session.request_final_evaluation();
         }
-        if let Some(evaluate) = session.evaluate() {
-            let evaluation = workers[0].evaluate(session.agent().acting(), &evaluate)?;
+        if let Some((number, episodes)) = session.evaluate() {
+            let evaluation = workers[0].evaluate(session.agent().acting(), number, episodes)?;
             session.evaluated(&evaluation)?;
         }
     }

@@ -14,15 +14,14 @@ use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
 use trestle_proto::annotation::AnnotationTable;
-use trestle_proto::batch::{Batch, BatchHeader, KNOWN_FLAGS};
+use trestle_proto::batch::{self, Batch, BatchHeader, KNOWN_FLAGS};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
 use trestle_proto::mentor::MentorTransitions;
-use trestle_proto::observe::{ObserveAnswer, Observed};
+use trestle_proto::observe::{Answers, ObserveAnswer, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::{PLAN_KIND, RunPlan};
 use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
-use trestle_proto::tick::{STOP, Tick};
 use trestle_proto::weights::WeightsHeader;
 
 /// A decoder, and its name.
@@ -67,10 +66,6 @@ fn messages(bytes: &[u8]) {
             assert!((t.action as usize) < ACTIONS && t.flags & !KNOWN_FLAGS == 0);
         }
     }
-    let (tick, _) = message::<Tick>(bytes);
-    if tick.validate(7).is_ok() {
-        assert!(tick.run == 7 && (1..=STOP).contains(&tick.kind));
-    }
     let (orders, _) = message::<Orders>(bytes);
     if orders.validate(7).is_ok() {
         assert!(orders.run == 7 && orders.stop < 2);
@@ -80,11 +75,16 @@ fn messages(bytes: &[u8]) {
     let payload: Vec<f32> = payload.into_iter().map(f32::from_bits).collect();
     let _ = header.receive(7, &[1, 2], &payload, &mut into);
     let (answer, payload) = message::<ObserveAnswer>(bytes);
-    let mut observed = Observed::default();
+    let mut answers = Answers::default();
     let mut table = AnnotationTable::new(MENTOR, DIM, ACTIONS);
-    if observed.receive(&answer, &payload, DIM, MENTOR).is_ok() {
-        assert!(observed.mentor.iter().all(|&j| j == NONE || (j as usize) < MENTOR));
-        let _ = table.apply(&observed.changed);
+    let _ = answers.receive(&answer, &payload, [2, 1].into_iter(), DIM, MENTOR);
+    for answer in answers.parts() {
+        assert!(answer.mentor.iter().all(|&j| j == NONE || (j as usize) < MENTOR));
+        let _ = table.apply(&answer.changed);
+    }
+    let mut parts = &payload[..];
+    while let Some(part) = Part::take(&mut parts, DIM) {
+        assert_eq!(part.payload.len(), batch::words(part.count as usize, DIM));
     }
     let _ = table.apply(&words(bytes));
     for j in 0..MENTOR {
@@ -223,9 +223,9 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     }
     let mut batch = Batch::default();
     batch.prepare(BatchHeader { run: 7, count: 3, obs_dim: DIM as u32, ..BatchHeader::default() });
-    let tick = Tick { run: 7, tick: 1, kind: 1, amount: 4, ..Tick::default() };
+    let orders = Orders { run: 7, round: 1, ..Orders::default() };
     let weights = [0.5_f32, -1.0, 2.0, 3.0];
-    let answer = ObserveAnswer { count: 2, ..ObserveAnswer::default() };
+    let answer = ObserveAnswer::default();
     let mut table = Vec::new();
     AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
     let config = complete();
@@ -246,9 +246,9 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     );
     vec![
         ("messages", bytes(batch.header, batch.payload())),
-        ("messages", bytes(tick, &[])),
+        ("messages", bytes(orders, &[])),
         ("messages", bytes(WeightsHeader::new(7, 0, 4, &[1, 2], &weights), bytemuck::cast_slice(&weights))),
-        ("messages", bytes(answer, &[1, NONE])),
+        ("messages", bytes(answer, &[1, NONE, 0, 2, 0])),
         ("messages", bytemuck::cast_slice(&table).to_vec()),
         ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),
         ("frames", snapshot.clone()),

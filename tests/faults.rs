@@ -178,7 +178,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
     // The last one is what an environment would send that has lost its footing.
     let spoil: [fn(&mut BatchHeader, &mut f32); 5] = [
         |header, _| header.run ^= 1,
-        |header, _| header.tick = 1,
+        |header, _| header.first_seq = 1,
         |header, _| header.actor = 63,
         |header, _| header.obs_dim = 3,
         |_, reward| *reward = f32::NAN,
@@ -199,7 +199,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         batch.prepare(header);
         let (obs, flags) = (vec![0.0; header.obs_dim as usize], 0);
         batch.set(0, &Transition { obs: &obs, next_obs: &obs, action: 0, reward, flags });
-        // He takes no ticks, which keeps nobody waiting.
+        // He takes no orders, which keeps nobody waiting.
         rogue.send_batch(&batch).unwrap();
         run.wait_for("the learner to notice", || dir.read_plan().unwrap().restarts > restarts as u64);
     }
@@ -209,7 +209,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
     let log = fs::read_to_string(dir.log("learner")).unwrap();
     for words in [
         "unexpected message: batch BatchHeader { run: ",
-        "actor 0's batch of tick 1; tick ",
+        "a batch of actor 0 from number 1 on; ",
         "actor: 63,",
         "has observations of 3 features; this run's have 2",
         "transition 0 of actor 0 has a reward that is not finite",

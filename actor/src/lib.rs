@@ -3,11 +3,10 @@
 //! * [`mod@env`]: the trait that every environment fulfils, and the environments;
 //! * [`policy`]: from a flat parameter vector and an observation to an action;
 //! * [`worker`]: one actor without any transport: batches, greedy evaluations, snapshots;
-//! * [`run`]: the loop of an actor's process in lockstep, [`mod@stream`] in free mode.
+//! * [`run`]: the loop of an actor's process.
 
 pub mod env;
 pub mod guide;
 pub mod policy;
 pub mod run;
-pub mod stream;
 pub mod worker;

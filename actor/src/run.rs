@@ -1,15 +1,19 @@
-//! The loop of an actor's process: wait for a tick, do what it says, answer.
+//! The loop of an actor's process: carry out the learner's standing orders with the newest weights.
+//!
+//! The loop is the same in lockstep and in free mode; in lockstep the orders grant one batch at a time. A learner may die
+//! and another take its place meanwhile: then the actor announces itself anew.
 
 use crate::worker::{ActorError, Worker};
-use trestle_link::{ActorLink, LinkError, Stop};
-use trestle_link::{logging, pulse};
+use std::time::{Duration, Instant};
+use trestle_link::{ActorLink, LinkError, Stop, logging, pulse};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
-use trestle_proto::limits::WAIT_SLICE;
-use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply, ReplyHeader};
-use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
+use trestle_proto::limits::{HANDSHAKE, WAIT_SLICE};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, JOINED, Reply, ReplyHeader};
 
-/// What ends an actor's process before the learner says so.
+/// What ends an actor's process before it is told to leave.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The environment, the network or a snapshot.
@@ -23,57 +27,190 @@ pub enum RunError {
     Codec(#[from] CodecError),
 }
 
-/// Why an actor left.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Left {
-    /// The learner sent [`STOP`]: the run is over.
-    Stopped,
-    /// `stop` said so, in the middle of the run.
-    Told,
-}
-
-/// Serves the learner at the other end of `link` with `worker`, until it sends [`STOP`] or `stop` says so.
+/// Serves the learner of `plan`'s run at the other end of `link` with `worker`, until `stop` says so. It is no error that
+/// there is no learner for a while.
 ///
 /// # Errors
-/// A message that cannot be right, a peer that is gone, or an environment that fails.
+/// A message that cannot be right, a transport or an environment that fails, or a learner that gives orders but cannot be
+/// reached.
 pub fn run(
     link: &mut impl ActorLink,
+    plan: &RunPlan,
     worker: &mut Worker,
-    rollout: usize,
     stop: Stop<'_>,
-) -> Result<Left, RunError> {
-    link.hello(stop)?;
-    tracing::info!("ready");
-    let mut batch = Batch::with_capacity(rollout, worker.obs_dim());
+) -> Result<(), RunError> {
+    let rollout = plan.config.run.rollout;
+    let mut actor = Serving {
+        run: plan.run,
+        rollout,
+        orders: Orders::default(),
+        generation: plan.generation.into(),
+        sent: 0,
+        played: 0,
+        saved: 0,
+        batch: Batch::with_capacity(rollout as usize, worker.obs_dim()),
+        pending: None,
+        unreachable: None,
+        link,
+        worker,
+    };
+    actor.announce(stop)?;
+    let mut ready = true;
     while !stop() {
         pulse::step();
-        let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
-        logging::set_tick(tick.tick);
-        match tick.kind {
-            COLLECT => {
-                worker.collect(link.weights(tick.weights_version)?, &tick, &mut batch)?;
-                link.send_batch(&batch)?;
-            }
-            EVALUATE if worker.index() == 0 => {
-                let evaluation = worker.evaluate(link.weights(tick.weights_version)?, &tick)?;
-                let payload = codec::encode(EVALUATION_KIND, &evaluation)?;
-                link.send_reply(&Reply { header: header(worker, &tick, EVALUATION), payload })?;
-            }
-            SNAPSHOT => {
-                let payload = worker.snapshot()?;
-                link.send_reply(&Reply { header: header(worker, &tick, ACTOR_STATE), payload })?;
-            }
-            STOP => {
-                tracing::info!("the run is over");
-                return Ok(Left::Stopped);
-            }
-            _ => {}
-        }
+        actor.send()?;
+        let work = actor.work().filter(|_| ready);
+        let timeout = if work.is_some() { Duration::ZERO } else { WAIT_SLICE };
+        ready = match (actor.link.recv_orders(timeout)?, work) {
+            (Some(newest), _) => actor.obey(newest, stop).map(|()| true)?,
+            (None, Some(work)) => actor.carry_out(work)?,
+            (None, None) => true,
+        };
     }
     tracing::info!("told to leave");
-    Ok(Left::Told)
+    Ok(())
 }
 
-fn header(worker: &Worker, tick: &Tick, kind: u32) -> ReplyHeader {
-    ReplyHeader { run: tick.run, tick: tick.tick, actor: worker.index(), kind }
+/// What orders ask for that needs no waiting.
+#[derive(Clone, Copy)]
+enum Work {
+    Evaluation,
+    Snapshot,
+    Batch,
+}
+
+/// What is to be sent.
+enum Message {
+    /// The batch that is kept.
+    Batch,
+    Reply(Reply),
+}
+
+struct Serving<'a, L> {
+    link: &'a mut L,
+    worker: &'a mut Worker,
+    run: u64,
+    rollout: u32,
+    /// The newest of this generation.
+    orders: Orders,
+    /// The start of the learner that this actor has announced itself to.
+    generation: u32,
+    /// Batches sent.
+    sent: u64,
+    /// Number of the last evaluation played.
+    played: u64,
+    /// Number of the last snapshot taken.
+    saved: u64,
+    batch: Batch,
+    /// Goes before all else. It stays where there is no learner to receive it: until there is one, which may not want it.
+    pending: Option<Message>,
+    /// Since when nobody receives what is pending.
+    unreachable: Option<Instant>,
+}
+
+impl<L: ActorLink> Serving<'_, L> {
+    /// Goes through the handshake and says which incarnation this is.
+    fn announce(&mut self, stop: Stop<'_>) -> Result<(), RunError> {
+        match self.link.hello(stop) {
+            Err(LinkError::Interrupted(_)) => return Ok(()),
+            done => done?,
+        }
+        let incarnation = self.worker.incarnation();
+        self.reply(incarnation.into(), JOINED, Vec::new());
+        tracing::info!(incarnation, "ready");
+        Ok(())
+    }
+
+    /// Takes orders over. Those of an earlier generation may come late; those of a later one are another learner's, who
+    /// knows nothing of this actor.
+    fn obey(&mut self, orders: Orders, stop: Stop<'_>) -> Result<(), RunError> {
+        if orders.generation < self.generation {
+            return Ok(());
+        }
+        logging::set_tick(orders.round);
+        if orders.generation > self.generation {
+            tracing::info!(generation = orders.generation, "another learner has come");
+            self.generation = orders.generation;
+            self.worker.begin(self.generation << 16)?;
+            (self.sent, self.played, self.saved) = (0, 0, 0);
+            (self.pending, self.unreachable) = (None, None);
+            self.announce(stop)?;
+        } else if self.unreachable.is_some_and(|since| since.elapsed() > HANDSHAKE) {
+            // The learner lives.
+            return Err(LinkError::Receivers { what: "a message", found: 0, expected: 1 }.into());
+        }
+        if orders.stop == 1 {
+            // The learner may still die before its result is written: another one would need this actor.
+            tracing::info!("the run is over");
+            (self.orders, self.pending) = (Orders::default(), None);
+        } else {
+            self.orders = orders;
+        }
+        Ok(())
+    }
+
+    /// The next work, if there is any and nothing to send before.
+    fn work(&self) -> Option<Work> {
+        let (orders, index) = (&self.orders, self.worker.index());
+        if self.pending.is_some() {
+            None
+        } else if index == 0 && orders.evaluation > self.played {
+            Some(Work::Evaluation)
+        } else if orders.snapshot > self.saved {
+            Some(Work::Snapshot)
+        } else {
+            let granted = orders.granted(index, self.worker.incarnation());
+            (self.sent < granted).then_some(Work::Batch)
+        }
+    }
+
+    /// False: the weights to do it with have not come yet.
+    fn carry_out(&mut self, work: Work) -> Result<bool, RunError> {
+        if let Work::Snapshot = work {
+            let payload = self.worker.snapshot()?;
+            self.saved = self.orders.snapshot;
+            self.reply(self.saved, ACTOR_STATE, payload);
+            return Ok(true);
+        }
+        let wanted = self.orders.weights_version;
+        let Some((version, acting)) = self.link.weights(self.generation, wanted)? else {
+            return Ok(false);
+        };
+        if let Work::Evaluation = work {
+            let evaluation =
+                self.worker.evaluate(acting, self.orders.evaluation - 1, self.orders.episodes)?;
+            self.played = self.orders.evaluation;
+            self.reply(self.played, EVALUATION, codec::encode(EVALUATION_KIND, &evaluation)?);
+        } else {
+            self.worker.collect(acting, &self.orders.collect(version, self.rollout), &mut self.batch)?;
+            self.pending = Some(Message::Batch);
+        }
+        Ok(true)
+    }
+
+    fn reply(&mut self, number: u64, kind: u32, payload: Vec<u8>) {
+        let header = ReplyHeader { run: self.run, number, actor: self.worker.index(), kind };
+        self.pending = Some(Message::Reply(Reply { header, payload }));
+    }
+
+    /// Sends what is pending, if there is somebody to receive it.
+    fn send(&mut self) -> Result<(), RunError> {
+        let sent = match &self.pending {
+            None => return Ok(()),
+            Some(Message::Batch) => self.link.send_batch(&self.batch),
+            Some(Message::Reply(reply)) => self.link.send_reply(reply),
+        };
+        match sent {
+            // Tried again after the next wait.
+            Err(LinkError::Receivers { found: 0, .. }) => {
+                self.unreachable.get_or_insert_with(Instant::now);
+                return Ok(());
+            }
+            sent => sent?,
+        }
+        self.unreachable = None;
+        self.sent += u64::from(matches!(self.pending, Some(Message::Batch)));
+        self.pending = None;
+        Ok(())
+    }
 }

@@ -12,12 +12,12 @@ use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRU
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
+use trestle_proto::orders::Collect;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
 use trestle_proto::space::{Success, reported};
-use trestle_proto::tick::Tick;
 use trestle_qnet::{PlanError, kernels_of, network_of};
 
 /// What the frame of an actor's state says that it is.
@@ -27,7 +27,7 @@ pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
 /// [`MAX_REPLY_BYTES`].
 const MAX_PATH_FEATURES: usize = MAX_REPLY_BYTES / 8;
 
-/// An actor that cannot be made, or cannot do what a tick asks for.
+/// An actor that cannot be made, or cannot do what is asked of it.
 #[derive(Debug, thiserror::Error)]
 pub enum ActorError {
     /// The environment.
@@ -66,11 +66,11 @@ pub enum ActorError {
         expected: usize,
     },
     /// Too much work, or none.
-    #[error("tick {tick} asks for {amount} steps or episodes; accepted: 1 to {MAX_ROLLOUT}")]
+    #[error("{amount} {what} are asked for; accepted: 1 to {MAX_ROLLOUT}")]
     Amount {
-        /// Number of the tick.
-        tick: u64,
-        /// What it asks for.
+        /// Steps or episodes.
+        what: &'static str,
+        /// How many of them.
         amount: u32,
     },
     /// A number from the environment that nothing can be learnt from.
@@ -277,34 +277,34 @@ impl Worker {
         self.policy.n_params() + self.guide_len
     }
 
-    /// Takes `tick.amount` steps with `acting`, the flat parameters and the guide's table, and writes them to `batch`,
+    /// Takes `order.steps` steps with `acting`, the flat parameters and the guide's table, and writes them to `batch`,
     /// header included; an episode that ends is followed by the next one. Allocates only while `batch` grows.
     ///
-    /// Step s of actor i explores with the ε of environment step `tick.env_steps + i * tick.amount + s`: the place
+    /// Step s of actor i explores with the ε of environment step `order.env_steps + i * order.steps + s`: the place
     /// that the step has among those of all actors.
     ///
     /// # Errors
     /// Parameters of another network, or an amount out of range; nothing has happened then. An environment that fails or
     /// gives what is not finite.
-    pub fn collect(&mut self, acting: &[f32], tick: &Tick, batch: &mut Batch) -> Result<(), ActorError> {
+    pub fn collect(&mut self, acting: &[f32], order: &Collect, batch: &mut Batch) -> Result<(), ActorError> {
         let expected = self.n_acting();
         if acting.len() != expected {
             return Err(ActorError::Params { found: acting.len(), expected });
         }
-        check_amount(tick)?;
+        check_amount("steps", order.steps)?;
         let (params, actions) = acting.split_at(self.policy.n_params());
         batch.prepare(BatchHeader {
-            run: tick.run,
-            tick: tick.tick,
+            run: order.run,
+            round: order.round,
             first_seq: self.seq,
-            weights_version: tick.weights_version,
+            weights_version: order.weights_version,
             actor: self.index,
             incarnation: self.incarnation,
-            count: tick.amount,
+            count: order.steps,
             obs_dim: self.obs.len() as u32,
         });
-        let before = tick.env_steps.saturating_add(u64::from(self.index) * u64::from(tick.amount));
-        for s in 0..tick.amount {
+        let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
+        for s in 0..order.steps {
             let at = before.saturating_add(u64::from(s));
             let epsilon = schedule::actor_epsilon(&self.exploration, at, self.index, self.actors);
             let (obs, rng) = (&self.obs, &mut self.explore);
@@ -336,29 +336,33 @@ impl Worker {
         Ok(())
     }
 
-    /// Plays `tick.amount` greedy episodes with the flat parameters that `acting` begins with, in an environment of
-    /// their own. Their
-    /// resets draw from a stream that depends on the run's seed and `tick.evaluation` alone; the collecting side of
-    /// the actor is untouched.
+    /// Plays `episodes` greedy episodes with the flat parameters that `acting` begins with, in an environment of their
+    /// own. Their resets draw from a stream that depends on the run's seed and `evaluation`, its number from 0, alone; the
+    /// collecting side of the actor is untouched.
     ///
     /// The paths of the first episodes are returned, as many as fit into a reply; those of the others are empty.
     ///
     /// # Errors
     /// As [`Worker::collect`].
-    pub fn evaluate(&mut self, acting: &[f32], tick: &Tick) -> Result<Evaluation, ActorError> {
+    pub fn evaluate(
+        &mut self,
+        acting: &[f32],
+        evaluation: u64,
+        episodes: u32,
+    ) -> Result<Evaluation, ActorError> {
         let expected = self.policy.n_params();
         let params = acting.get(..expected).ok_or(ActorError::Params { found: acting.len(), expected })?;
-        check_amount(tick)?;
-        let mut rng = stream(self.seed, Purpose::Evaluation, tick.evaluation);
+        check_amount("episodes", episodes)?;
+        let mut rng = stream(self.seed, Purpose::Evaluation, evaluation);
         let mut room = MAX_PATH_FEATURES;
-        let mut episodes = Vec::with_capacity(tick.amount as usize);
-        for _ in 0..tick.amount {
-            let episode = self.play(params, &mut rng, room, tick.evaluation)?;
+        let mut played = Vec::with_capacity(episodes as usize);
+        for _ in 0..episodes {
+            let episode = self.play(params, &mut rng, room, evaluation)?;
             // Once a path has been left out, all later ones are.
             room = if episode.path.is_empty() { 0 } else { room - episode.path.len() };
-            episodes.push(episode);
+            played.push(episode);
         }
-        Ok(Evaluation { evaluation: tick.evaluation, episodes })
+        Ok(Evaluation { evaluation, episodes: played })
     }
 
     /// One greedy episode of the evaluation with this number, its path left out if it has more than `room` features.
@@ -459,11 +463,8 @@ fn check_finite(actor: u32, moment: Moment, obs: &[f32], reward: f32) -> Result<
 }
 
 /// Refuses too much work, or none.
-fn check_amount(tick: &Tick) -> Result<(), ActorError> {
-    if !(1..=MAX_ROLLOUT).contains(&tick.amount) {
-        return Err(ActorError::Amount { tick: tick.tick, amount: tick.amount });
-    }
-    Ok(())
+fn check_amount(what: &'static str, amount: u32) -> Result<(), ActorError> {
+    if (1..=MAX_ROLLOUT).contains(&amount) { Ok(()) } else { Err(ActorError::Amount { what, amount }) }
 }
 
 #[cfg(test)]

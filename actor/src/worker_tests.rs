@@ -3,7 +3,6 @@
 
 use super::*;
 use trestle_proto::plan::MentorPart;
-use trestle_proto::tick::{COLLECT, EVALUATE};
 use trestle_proto::waypoints::Waypoints;
 
 fn plan(overrides: &[&str]) -> RunPlan {
@@ -50,16 +49,16 @@ fn random_params(plan: &RunPlan) -> Vec<f32> {
     trestle_qnet::init(&network_of(plan).unwrap().0, &mut stream(1, Purpose::Weights, 0))
 }
 
-fn tick(tick: u64, kind: u32, amount: u32) -> Tick {
-    let env_steps = (tick - 1) * u64::from(amount);
-    Tick { run: 77, tick, weights_version: tick - 1, env_steps, evaluation: 0, kind, amount }
+fn order(round: u64, steps: u32) -> Collect {
+    let env_steps = (round - 1) * u64::from(steps);
+    Collect { run: 77, round, weights_version: round - 1, env_steps, steps }
 }
 
 /// `n` batches of `amount` steps.
 fn batches(worker: &mut Worker, params: &[f32], first: u64, n: u64, amount: u32) -> Vec<Batch> {
     let mut collect = |t| {
         let mut batch = Batch::default();
-        worker.collect(params, &tick(t, COLLECT, amount), &mut batch).unwrap();
+        worker.collect(params, &order(t, amount), &mut batch).unwrap();
         batch
     };
     (first..first + n).map(&mut collect).collect()
@@ -87,16 +86,14 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
     let batch = batches(&mut worker, &acting, 1, 1, 7).remove(0);
     assert_eq!(batch.actions(), [1, 1, 1, 0, 1, 0, 1]);
     // Without the table nothing is done, and nothing is known of a table without entries.
-    assert!(worker.collect(&always(&plan, 0), &tick(2, COLLECT, 7), &mut Batch::default()).is_err());
+    assert!(worker.collect(&always(&plan, 0), &order(2, 7), &mut Batch::default()).is_err());
     let unknown = [always(&plan, 0), vec![-1.0; 5]].concat();
     let explored = batches(&mut worker, &unknown, 2, 30, 7);
     let actions: Vec<u32> = explored.iter().flat_map(|batch| batch.actions().to_vec()).collect();
     let east = actions.iter().sum::<u32>();
     assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
     // Evaluations need the parameters alone.
-    assert!(
-        worker.evaluate(&always(&plan, 1), &tick(3, EVALUATE, 1)).unwrap().episodes[0].success == Some(true)
-    );
+    assert!(worker.evaluate(&always(&plan, 1), 0, 1).unwrap().episodes[0].success == Some(true));
 }
 
 #[test]
@@ -121,7 +118,7 @@ fn batches_are_complete_and_continuous() {
     for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
         let header = BatchHeader {
             run: 77,
-            tick: t,
+            round: t,
             first_seq: (t - 1) * 32,
             weights_version: t - 1,
             actor: 1,
@@ -195,12 +192,12 @@ fn exploration_follows_the_schedule_over_all_actors() {
         );
         let params = always(&plan, 1);
         let mut batch = Batch::default();
-        let tick = Tick { env_steps, ..tick(1, COLLECT, 64) };
-        Worker::new(&plan, index).unwrap().collect(&params, &tick, &mut batch).unwrap();
+        let order = Collect { env_steps, ..order(1, 64) };
+        Worker::new(&plan, index).unwrap().collect(&params, &order, &mut batch).unwrap();
         batch.actions().contains(&0)
     };
     assert!(explores(0, 0));
-    // The second actor's first step is the 65th of the tick.
+    // The second actor's first step is the 65th of the round.
     assert!(!explores(1, 0));
     assert!(!explores(0, 64));
     assert!(!explores(1, u64::MAX));
@@ -234,7 +231,7 @@ fn an_evaluation_disturbs_nothing_and_repeats() {
     let mut seen = Vec::new();
     for t in 1..10 {
         let before = evaluating.snapshot().unwrap();
-        seen.push(evaluating.evaluate(&params, &tick(t, EVALUATE, 2)).unwrap());
+        seen.push(evaluating.evaluate(&params, 0, 2).unwrap());
         assert_eq!(evaluating.snapshot().unwrap(), before);
         assert_eq!(batches(&mut evaluating, &params, t, 1, 16), batches(&mut quiet, &params, t, 1, 16));
     }
@@ -246,8 +243,7 @@ fn greedy_episodes_are_reported_as_they_were_played() {
     let played = |layout: &str, action| {
         let plan = corridor(layout, &["exploration.epsilon_end=1"]);
         let params = always(&plan, action);
-        let tick = Tick { evaluation: 3, ..tick(1, EVALUATE, 2) };
-        let evaluation = Worker::new(&plan, 0).unwrap().evaluate(&params, &tick).unwrap();
+        let evaluation = Worker::new(&plan, 0).unwrap().evaluate(&params, 3, 2).unwrap();
         assert_eq!((evaluation.evaluation, evaluation.episodes.len()), (3, 2));
         assert_eq!(evaluation.episodes[0], evaluation.episodes[1]);
         evaluation.episodes[0].clone()
@@ -284,7 +280,7 @@ fn what_cannot_be_done_is_refused() {
     let mut worker = Worker::new(&plan, 0).unwrap();
     let before = worker.snapshot().unwrap();
     let mut batch = Batch::default();
-    let message = worker.collect(&params[1..], &tick(1, COLLECT, 8), &mut batch).unwrap_err().to_string();
+    let message = worker.collect(&params[1..], &order(1, 8), &mut batch).unwrap_err().to_string();
     let expected = format!(
         "weights of {} parameters and guiding actions; this run's network and mentor have {}",
         params.len() - 1,
@@ -293,8 +289,8 @@ fn what_cannot_be_done_is_refused() {
     assert_eq!(message, expected);
     for amount in [0, MAX_ROLLOUT + 1] {
         assert!(matches!(
-            worker.collect(&params, &Tick { amount, ..tick(1, COLLECT, 8) }, &mut batch),
-            Err(ActorError::Amount { tick: 1, .. })
+            worker.collect(&params, &Collect { steps: amount, ..order(1, 8) }, &mut batch),
+            Err(ActorError::Amount { what: "steps", .. })
         ));
     }
     let other = Worker::new(&plan, 1).unwrap().snapshot().unwrap();
@@ -304,13 +300,19 @@ fn what_cannot_be_done_is_refused() {
     assert_eq!(worker.snapshot().unwrap(), before);
 }
 
+#[derive(Clone, Copy)]
+enum Doing {
+    Collecting,
+    Evaluating,
+}
+
 /// What `worker` refuses as it collects batches of 8 steps, or plays evaluations, and how many it got through before.
-fn refusal(mut worker: Worker, params: &[f32], kind: u32) -> (u64, String) {
+fn refusal(mut worker: Worker, params: &[f32], doing: Doing) -> (u64, String) {
     let mut batch = Batch::default();
     for t in 1..100 {
-        let outcome = match kind {
-            COLLECT => worker.collect(params, &tick(t, COLLECT, 8), &mut batch),
-            _ => worker.evaluate(params, &Tick { evaluation: t, ..tick(t, EVALUATE, 1) }).map(|_| ()),
+        let outcome = match doing {
+            Doing::Collecting => worker.collect(params, &order(t, 8), &mut batch),
+            Doing::Evaluating => worker.evaluate(params, t, 1).map(|_| ()),
         };
         if let Err(error) = outcome {
             return (t - 1, error.to_string());
@@ -328,22 +330,22 @@ fn numbers_that_are_not_finite_are_refused_by_name() {
     };
     let (worker, params, plan) = hazardous("nan-reward");
     let refused = "the environment of actor 1 gave a reward = NaN after 20 steps; accepted: finite numbers";
-    assert_eq!(refusal(worker, &params, COLLECT), (2, refused.into()));
+    assert_eq!(refusal(worker, &params, Doing::Collecting), (2, refused.into()));
     let (worker, _, _) = hazardous("nan-state");
     let refused = "the environment of actor 1 gave feature 1 of its state = NaN after 20 steps; accepted: finite numbers";
-    assert_eq!(refusal(worker, &params, COLLECT), (2, refused.into()));
+    assert_eq!(refusal(worker, &params, Doing::Collecting), (2, refused.into()));
     // Seven steps an evaluation, as west leads nowhere.
     let west = always(&plan, 0);
     let refused = "the environment of actor 1 gave a reward = NaN in evaluation 3; accepted: finite numbers";
-    assert_eq!(refusal(hazardous("nan-reward").0, &west, EVALUATE), (2, refused.into()));
+    assert_eq!(refusal(hazardous("nan-reward").0, &west, Doing::Evaluating), (2, refused.into()));
     let refused = "the environment of actor 1 gave feature 1 of its state = NaN in evaluation 3; accepted: finite numbers";
-    assert_eq!(refusal(hazardous("nan-state").0, &west, EVALUATE), (2, refused.into()));
+    assert_eq!(refusal(hazardous("nan-state").0, &west, Doing::Evaluating), (2, refused.into()));
     // From a snapshot on it comes later, at a step that says so.
     let (mut worker, ..) = hazardous("nan-reward");
     batches(&mut worker, &params, 1, 2, 8);
     let (mut other, ..) = hazardous("nan-reward");
     other.restore(&worker.snapshot().unwrap()).unwrap();
-    let (got_through, refused) = refusal(other, &params, COLLECT);
+    let (got_through, refused) = refusal(other, &params, Doing::Collecting);
     assert!(got_through == 2 && refused.contains("after 36 steps"), "{got_through}: {refused}");
     for (value, finite) in [(f32::INFINITY, false), (f32::NEG_INFINITY, false), (f32::MAX, true)] {
         assert_eq!(check_finite(0, Moment::Steps(0), &[0.0], value).is_ok(), finite);
@@ -363,14 +365,17 @@ fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
     assert_eq!(batches(&mut outside, &params, 1, 10, 8).len(), 10);
     let west = always(&with("both"), 0);
     let refused = "env.hazard: the error that was asked for, after 20 steps of the process";
-    for (during, kind) in
-        [("both", COLLECT), ("both", EVALUATE), ("training", COLLECT), ("evaluation", EVALUATE)]
-    {
+    for (during, doing) in [
+        ("both", Doing::Collecting),
+        ("both", Doing::Evaluating),
+        ("training", Doing::Collecting),
+        ("evaluation", Doing::Evaluating),
+    ] {
         let worker = Worker::replacing(&with(during), 0, 0).unwrap();
-        assert_eq!(refusal(worker, &west, kind), (2, refused.into()), "{during}");
+        assert_eq!(refusal(worker, &west, doing), (2, refused.into()), "{during}");
     }
     let mut training = Worker::replacing(&with("training"), 0, 0).unwrap();
-    assert!((1..10).all(|t| training.evaluate(&west, &tick(t, EVALUATE, 1)).is_ok()));
+    assert!((1..10).all(|number| training.evaluate(&west, number, 1).is_ok()));
     let mut evaluating = Worker::replacing(&with("evaluation"), 0, 0).unwrap();
     assert_eq!(batches(&mut evaluating, &params, 1, 10, 8).len(), 10);
 }

@@ -10,11 +10,11 @@ use trestle_proto::batch::Batch;
 use trestle_proto::codec;
 use trestle_proto::config::accepts::between;
 use trestle_proto::config::{self, Environments, Table};
+use trestle_proto::orders::Collect;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::Stream;
 use trestle_proto::settings;
 use trestle_proto::space::{EnvSpec, Success};
-use trestle_proto::tick::{COLLECT, EVALUATE, Tick};
 
 settings! {
     /// `[env.balance]`
@@ -119,18 +119,18 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
     assert!(error.contains("the environment balance has no planner; accepted: a CSV file"), "{error}");
     assert_eq!(RunPlan::decode(&plan.encode().unwrap()).unwrap(), plan);
 
-    // A tick of training, and a snapshot in the middle of an episode.
+    // A batch of training, and a snapshot in the middle of an episode.
     let mut worker = Worker::new(&plan, 0).unwrap();
     let weights = vec![0.0; worker.n_acting()];
-    let tick = |kind, amount| Tick { run: 1, tick: 1, kind, amount, ..Tick::default() };
+    let order = Collect { run: 1, round: 1, steps: 23, ..Collect::default() };
     let mut batch = Batch::default();
-    worker.collect(&weights, &tick(COLLECT, 23), &mut batch).unwrap();
+    worker.collect(&weights, &order, &mut batch).unwrap();
     assert!((0..23).any(|i| batch.transition(i).terminated()));
     assert!((0..23).all(|i| !batch.transition(i).succeeded()));
     worker.restore(&worker.snapshot().unwrap()).unwrap();
 
     // Always to the left: every episode ends by falling, after one step or two. That is no success.
-    let played = worker.evaluate(&weights, &tick(EVALUATE, 20)).unwrap().episodes;
+    let played = worker.evaluate(&weights, 0, 20).unwrap().episodes;
     assert!(played.iter().all(|episode| episode.terminated && episode.length <= 2));
     assert_eq!(plan.success(), Success::Undefined);
     assert!(played.iter().all(|episode| episode.success.is_none()));

@@ -20,10 +20,11 @@ use trestle_link::iceoryx::{Domain, HeldDomain, IceoryxLearner, Services};
 use trestle_link::{FromActor, LearnerLink};
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
-use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Part};
+use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::{MentorPart, RunPlan};
+use trestle_proto::reply::JOINED;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
-use trestle_proto::tick::{COLLECT, Tick};
 use trestle_proto::weights::WeightsHeader;
 
 /// Mentor transitions of the plan: they only say how large an answer may get.
@@ -35,19 +36,19 @@ const PATIENCE: Duration = Duration::from_millis(200);
 #[derive(Clone, Copy)]
 pub(super) struct Setup {
     pub(super) actors: u32,
-    /// Most transitions in a batch.
+    /// Transitions in a batch.
     pub(super) rollout: u32,
     /// Batches that each actor sends a tick.
     pub(super) burst: u32,
-    /// Whether a mentor-server is asked about each batch.
+    /// Whether a mentor-server is asked about the batches.
     pub(super) mentor: bool,
 }
 
 /// One way to exchange messages.
 pub(super) trait Exchange {
-    /// One tick: weights if `publish`, the tick itself, batches of `amount` transitions from every actor, and the
-    /// mentor-server's answer to each.
-    fn tick(&mut self, amount: u32, publish: bool) -> Result<()>;
+    /// One tick: weights if `publish`, orders, batches from every actor, and the mentor-server's answer to the last one of
+    /// each actor.
+    fn tick(&mut self, publish: bool) -> Result<()>;
 }
 
 /// Both ways, one as the other.
@@ -145,8 +146,9 @@ pub(super) struct Learner {
     version: u64,
     /// Transitions taken in.
     index: u64,
+    /// The newest of each actor.
     batches: Vec<Batch>,
-    observed: Observed,
+    answers: Answers,
     interrupted: Arc<AtomicBool>,
 }
 
@@ -164,44 +166,40 @@ impl Learner {
             version: 0,
             index: 0,
             batches: vec![Batch::default(); plan.config.run.actors as usize],
-            observed: Observed::default(),
+            answers: Answers::default(),
             interrupted,
             plan,
             burst,
         })
     }
 
-    /// The next tick.
-    fn next(&mut self, amount: u32, publish: bool) -> Result<Tick> {
+    /// The orders of the next tick.
+    fn next(&mut self, publish: bool) -> Result<Orders> {
         ensure!(!self.interrupted.load(Ordering::Relaxed), "interrupted");
         self.number += 1;
         // There are weights before the first tick in any case.
         if publish || self.version == 0 {
             self.version = self.number;
         }
-        Ok(Tick {
-            run: self.plan.run,
-            tick: self.number,
-            weights_version: self.version,
-            kind: COLLECT,
-            amount,
-            ..Tick::default()
-        })
+        let (run, round, weights_version) = (self.plan.run, self.number, self.version);
+        let mut orders = Orders { run, round, weights_version, ..Orders::default() };
+        let granted = self.number * u64::from(self.burst);
+        orders.shares[..self.batches.len()].fill(Share { granted, ..Share::default() });
+        Ok(orders)
     }
 
-    /// The question about `batch`.
-    fn question(&mut self, actor: usize) -> ObserveRequest {
-        let batch = &self.batches[actor];
+    /// The question about the newest batches.
+    fn question(&mut self) -> ObserveRequest {
         let first_index = self.index;
-        self.index += batch.len() as u64;
+        self.index += self.batches.iter().map(|batch| batch.len() as u64).sum::<u64>();
         ObserveRequest {
             run: self.plan.run,
-            tick: self.number,
+            round: self.number,
             first_index,
             op: OBSERVE,
-            actor: batch.header.actor,
-            count: batch.header.count,
-            obs_dim: batch.header.obs_dim,
+            count: self.batches.len() as u32,
+            obs_dim: self.plan.spec.obs_dim() as u32,
+            reserved: 0,
         }
     }
 }
@@ -240,25 +238,31 @@ impl SharedMemory {
 }
 
 impl Exchange for SharedMemory {
-    fn tick(&mut self, amount: u32, publish: bool) -> Result<()> {
+    fn tick(&mut self, publish: bool) -> Result<()> {
         let Self { link, learner, peers } = self;
-        let tick = learner.next(amount, publish)?;
-        if tick.weights_version == tick.tick {
-            link.send_weights(tick.weights_version, &learner.weights)?;
+        let orders = learner.next(publish)?;
+        if orders.weights_version == orders.round {
+            link.send_weights(orders.weights_version, &learner.weights)?;
         }
-        link.send_tick(&tick)?;
+        link.send_orders(&orders)?;
+        let mut spare = Batch::default();
         let mut missing = learner.batches.len() * learner.burst as usize;
         while missing > 0 {
-            match link.recv(&mut learner.batches, PATIENCE)? {
-                Some(FromActor::Batch(_)) => missing -= 1,
+            match link.recv(&mut spare, PATIENCE)? {
+                Some(FromActor::Batch) => {
+                    missing -= 1;
+                    let actor = spare.header.actor as usize;
+                    std::mem::swap(&mut spare, &mut learner.batches[actor]);
+                }
+                Some(FromActor::Reply(reply)) if reply.header.kind == JOINED => {}
                 Some(FromActor::Reply(reply)) => bail!("a reply that nobody asked for: {:?}", reply.header),
                 None => peers.check()?,
             }
         }
-        let asked = if learner.plan.mentors.is_empty() { 0 } else { learner.batches.len() };
-        for actor in 0..asked {
-            let question = learner.question(actor);
-            link.observe(&question, learner.batches[actor].payload(), &mut learner.observed)?;
+        if !learner.plan.mentors.is_empty() {
+            let question = learner.question();
+            let parts: Vec<Part<'_>> = learner.batches.iter().map(Part::of).collect();
+            link.observe(&question, &parts, &mut learner.answers)?;
         }
         Ok(())
     }
@@ -290,14 +294,15 @@ impl Sockets {
 }
 
 impl Exchange for Sockets {
-    fn tick(&mut self, amount: u32, publish: bool) -> Result<()> {
+    fn tick(&mut self, publish: bool) -> Result<()> {
         let Self { actors, mentor, learner, payload, .. } = self;
-        let tick = learner.next(amount, publish)?;
-        let fresh = tick.weights_version == tick.tick;
+        let orders = learner.next(publish)?;
+        let fresh = orders.weights_version == orders.round;
         let sizes: Vec<u32> = learner.plan.sizes().iter().map(|&n| n as u32).collect();
-        let header = WeightsHeader::new(learner.plan.run, 0, tick.weights_version, &sizes, &learner.weights);
+        let header =
+            WeightsHeader::new(learner.plan.run, 0, orders.weights_version, &sizes, &learner.weights);
         for actor in actors.iter_mut() {
-            actor.write_all(bytes_of(&tick))?;
+            actor.write_all(bytes_of(&orders))?;
             if fresh {
                 actor.write_all(bytes_of(&header))?;
                 actor.write_all(cast_slice(&learner.weights))?;
@@ -313,16 +318,21 @@ impl Exchange for Sockets {
                 batch.receive(header, payload, obs_dim, n_actions)?;
             }
         }
-        for actor in 0..learner.batches.len() {
-            let Some(mentor) = mentor else { break };
-            let question = learner.question(actor);
+        if let Some(mentor) = mentor {
+            let question = learner.question();
+            let parts: Vec<Part<'_>> = learner.batches.iter().map(Part::of).collect();
+            payload.clear();
+            parts.iter().for_each(|part| payload.extend(part.header().iter().chain(part.payload)));
             mentor.write_all(bytes_of(&question))?;
-            mentor.write_all(cast_slice(learner.batches[actor].payload()))?;
-            let mut answer = ObserveAnswer::default();
+            mentor.write_all(cast_slice(&[payload.len() as u32]))?;
+            mentor.write_all(cast_slice(payload))?;
+            let (mut answer, mut words) = (ObserveAnswer::default(), [0u32]);
             mentor.read_exact(bytes_of_mut(&mut answer))?;
-            payload.resize(answer.count as usize, 0);
+            mentor.read_exact(cast_slice_mut(&mut words))?;
+            payload.resize(words[0] as usize, 0);
             mentor.read_exact(cast_slice_mut(payload))?;
-            learner.observed.receive(&answer, payload, obs_dim, MENTOR)?;
+            let counts = parts.iter().map(|part| part.count as usize);
+            learner.answers.receive(&answer, payload, counts, obs_dim, MENTOR)?;
         }
         Ok(())
     }

@@ -12,13 +12,13 @@ use trestle_bench::walk::{Walk, World};
 use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
 use trestle_link::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::NONE;
-use trestle_proto::batch::{Batch, BatchHeader, words};
+use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::WAIT_SLICE;
-use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Part};
+use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, UNKNOWN_OP};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::tick::Tick;
 use trestle_proto::weights::WeightsHeader;
 
 /// Serves a benchmark until its process is gone. `args`: the role, the directory with the plan, the actor's index, and
@@ -43,7 +43,7 @@ pub(super) fn run(args: &[String]) -> Result<()> {
             Ok(())
         }
         "socket-actor" => until_closed(act_by_socket(&socket(dir), &plan, index, burst)),
-        "socket-mentor-server" => until_closed(answer_by_socket(&socket(dir), &plan)),
+        "socket-mentor-server" => until_closed(answer_by_socket(&socket(dir))),
         _ => bail!("--peer {role}; accepted: actor, mentor-server, socket-actor, socket-mentor-server"),
     }
 }
@@ -55,6 +55,7 @@ struct Actor {
     batch: Batch,
     params: Vec<f32>,
     sizes: Vec<u32>,
+    rollout: u32,
 }
 
 impl Actor {
@@ -66,21 +67,22 @@ impl Actor {
             batch: Batch::default(),
             params: vec![0.0; sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum()],
             sizes: sizes.iter().map(|&n| n as u32).collect(),
+            rollout: plan.config.run.rollout,
         }
     }
 
-    /// The batch for `tick`. Its content is made once for each size: making it is not what is measured.
-    fn answer(&mut self, tick: &Tick) -> &Batch {
+    /// The batch for `orders`. Its content is made once: making it is not what is measured.
+    fn answer(&mut self, orders: &Orders) -> &Batch {
         let header = BatchHeader {
-            run: tick.run,
-            tick: tick.tick,
-            weights_version: tick.weights_version,
+            run: orders.run,
+            round: orders.round,
+            weights_version: orders.weights_version,
             actor: self.index,
-            count: tick.amount,
+            count: self.rollout,
             obs_dim: self.walk.dim() as u32,
             ..BatchHeader::default()
         };
-        if self.batch.header.count == tick.amount {
+        if self.batch.header.count == self.rollout {
             self.batch.header = header;
         } else {
             self.walk.fill(header, &mut self.batch);
@@ -92,9 +94,9 @@ impl Actor {
 fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() -> bool) -> Result<()> {
     link.hello(stop)?;
     while !stop() {
-        let Some(tick) = link.recv_tick(WAIT_SLICE)? else { continue };
-        link.weights(tick.weights_version)?;
-        let batch = actor.answer(&tick);
+        let Some(orders) = link.recv_orders(WAIT_SLICE)? else { continue };
+        link.weights(0, orders.weights_version)?;
+        let batch = actor.answer(&orders);
         for _ in 0..burst {
             link.send_batch(batch)?;
         }
@@ -107,17 +109,17 @@ fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<
     let mut actor = Actor::new(plan, index);
     let (mut version, mut received) = (0, actor.params.clone());
     loop {
-        let mut tick = Tick::default();
-        learner.read_exact(bytes_of_mut(&mut tick))?;
-        tick.validate(plan.run)?;
-        if tick.weights_version != version {
-            version = tick.weights_version;
+        let mut orders = Orders::default();
+        learner.read_exact(bytes_of_mut(&mut orders))?;
+        orders.validate(plan.run)?;
+        if orders.weights_version != version {
+            version = orders.weights_version;
             let mut header = WeightsHeader::default();
             learner.read_exact(bytes_of_mut(&mut header))?;
             learner.read_exact(cast_slice_mut(&mut received))?;
             header.receive(plan.run, &actor.sizes, &received, &mut actor.params)?;
         }
-        let batch = actor.answer(&tick);
+        let batch = actor.answer(&orders);
         for _ in 0..burst {
             learner.write_all(bytes_of(&batch.header))?;
             learner.write_all(cast_slice(batch.payload()))?;
@@ -125,17 +127,20 @@ fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<
     }
 }
 
-fn answer_by_socket(path: &Path, plan: &RunPlan) -> Result<()> {
+fn answer_by_socket(path: &Path) -> Result<()> {
     let mut learner = UnixStream::connect(path)?;
     let (mut payload, mut out) = (Vec::new(), Vec::new());
     loop {
         let mut request = ObserveRequest::default();
         learner.read_exact(bytes_of_mut(&mut request))?;
-        payload.resize(words(request.count as usize, plan.spec.obs_dim()), 0);
+        let mut words = [0u32];
+        learner.read_exact(cast_slice_mut(&mut words))?;
+        payload.resize(words[0] as usize, 0);
         learner.read_exact(cast_slice_mut(&mut payload))?;
         out.clear();
         let answer = Ignorant.observe(&request, &payload, &mut out);
         learner.write_all(bytes_of(&answer))?;
+        learner.write_all(cast_slice(&[out.len() as u32]))?;
         learner.write_all(cast_slice(&out))?;
     }
 }
@@ -157,9 +162,13 @@ struct Ignorant;
 impl MentorHandler for Ignorant {
     fn forget(&mut self) {}
 
-    fn observe(&mut self, request: &ObserveRequest, _: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
-        out.resize(request.count as usize, NONE);
-        ObserveAnswer { first_index: request.first_index, count: request.count, ..ObserveAnswer::default() }
+    fn observe(&mut self, request: &ObserveRequest, mut words: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
+        while let Some(part) = Part::take(&mut words, request.obs_dim as usize) {
+            out.resize(out.len() + part.count as usize, NONE);
+            // Annotations that have changed.
+            out.push(0);
+        }
+        ObserveAnswer { first_index: request.first_index, ..ObserveAnswer::default() }
     }
 
     fn query(&mut self, _: &QueryRequest, _: &[f32], _: &mut Vec<u32>) -> QueryAnswer {

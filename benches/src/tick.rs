@@ -17,16 +17,16 @@ const WARM_UP: usize = 100;
 const BURST: u32 = 32;
 
 /// The medians of a tick's time over shared memory and over sockets, microseconds.
-fn pair(both: &mut Both, amount: u32, publish: bool, effort: Effort) -> Result<[f64; 2]> {
+fn pair(both: &mut Both, publish: bool, effort: Effort) -> Result<[f64; 2]> {
     let mut samples = [const { Vec::new() }; 2];
     for exchange in &mut both.ways {
-        (0..WARM_UP).try_for_each(|_| exchange.tick(amount, publish))?;
+        (0..WARM_UP).try_for_each(|_| exchange.tick(publish))?;
     }
     for _ in 0..effort.pick(BLOCKS[0], BLOCKS[1]) {
         for (exchange, samples) in both.ways.iter_mut().zip(&mut samples) {
             for _ in 0..BLOCK {
                 let start = Instant::now();
-                exchange.tick(amount, publish)?;
+                exchange.tick(publish)?;
                 samples.push(start.elapsed().as_secs_f64() * 1e6);
             }
         }
@@ -34,13 +34,13 @@ fn pair(both: &mut Both, amount: u32, publish: bool, effort: Effort) -> Result<[
     Ok(samples.map(median))
 }
 
-/// A whole tick: weights, tick, batches, the mentor-server's answers.
+/// A whole tick: weights, orders, batches, the mentor-server's answers.
 pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for actors in [1, 2, 4] {
-        let mut both = Both::new(Setup { actors, rollout: 32, burst: 1, mentor: true })?;
         for rollout in [1, 8, 32] {
-            let [us, socket_us] = pair(&mut both, rollout, true, effort)?;
+            let mut both = Both::new(Setup { actors, rollout, burst: 1, mentor: true })?;
+            let [us, socket_us] = pair(&mut both, true, effort)?;
             rows.push(
                 Row::new()
                     .with("actors", actors)
@@ -56,11 +56,11 @@ pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
 
 /// Batches in bursts from one actor.
 pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
-    let mut both = Both::new(Setup { actors: 1, rollout: 256, burst: BURST, mentor: false })?;
     let mut rows = Vec::new();
     for batch in [32, 256] {
+        let mut both = Both::new(Setup { actors: 1, rollout: batch, burst: BURST, mentor: false })?;
         let each = |us: f64| us * 1e3 / f64::from(batch * BURST);
-        let [ns, socket_ns] = pair(&mut both, batch, false, effort)?.map(each);
+        let [ns, socket_ns] = pair(&mut both, false, effort)?.map(each);
         rows.push(
             Row::new()
                 .with("batch", batch)
@@ -78,8 +78,8 @@ pub(super) fn weights(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for subscribers in [1, 4] {
         let mut both = Both::new(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false })?;
-        let with = pair(&mut both, 1, true, effort)?;
-        let without = pair(&mut both, 1, false, effort)?;
+        let with = pair(&mut both, true, effort)?;
+        let without = pair(&mut both, false, effort)?;
         let [us, socket_us] = [0, 1].map(|way| with[way] - without[way]);
         rows.push(
             Row::new()

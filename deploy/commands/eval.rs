@@ -11,7 +11,6 @@ use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::tick::{EVALUATE, Tick};
 
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     logging::init(0, "eval", "warn");
@@ -24,21 +23,13 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         ));
     }
     let plan = read_plan(&dir)?;
-    let (tick, path) = checkpoint::newest_complete(dir.root())?
+    let (_, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let weights = checkpoint::load_model(&path, &layout)?;
     let mut worker = Worker::new(&plan, 0)?;
     // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
-    let tick = Tick {
-        run: plan.run,
-        tick,
-        evaluation: u64::MAX,
-        kind: EVALUATE,
-        amount: args.episodes,
-        ..Tick::default()
-    };
-    let evaluation = worker.evaluate(&weights, &tick)?;
+    let evaluation = worker.evaluate(&weights, u64::MAX, args.episodes)?;
 
     let n = evaluation.episodes.len() as f64;
     let mean = |of: &dyn Fn(&trestle_proto::reply::EvaluationEpisode) -> f64| {

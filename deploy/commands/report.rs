@@ -10,7 +10,6 @@ use trestle_link::logging;
 use trestle_mentor_server::demo_file;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
-use trestle_proto::tick::{EVALUATE, Tick};
 use trestle_qnet::{Workspace, forward};
 use trestle_report::maze::{Maze, Step};
 use trestle_report::read::{Run, read_runs};
@@ -67,7 +66,7 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     let Some(ground) = registry().ground(&run.config.env)? else { return Ok(None) };
     let ground = ground.as_ref();
     let plan = dir.read_plan()?;
-    let (tick, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
+    let (_, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
     let demonstration = match plan.mentor_len() {
         0 => None,
         _ => Some(demo_file::read(&dir.demonstration())?.transitions()),
@@ -104,7 +103,7 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
         walls: squares(size).map(|cell| !ground.is_free(cell)).collect(),
         ends: ground.ends(),
         mentor,
-        path: ground.places(&greedy_path(&plan, tick, agent.weights())?),
+        path: ground.places(&greedy_path(&plan, agent.weights())?),
         fine,
         visits,
         values: values(&plan, ground, agent.weights())?,
@@ -116,12 +115,10 @@ fn squares([columns, rows]: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
 }
 
 /// The states of a greedy episode.
-fn greedy_path(plan: &RunPlan, tick: u64, weights: &[f32]) -> Result<Vec<f32>> {
+fn greedy_path(plan: &RunPlan, weights: &[f32]) -> Result<Vec<f32>> {
     let mut worker = Worker::new(plan, 0)?;
     // As `trestle eval`: this evaluation's stream of resets is none of the training's.
-    let tick =
-        Tick { run: plan.run, tick, evaluation: u64::MAX, kind: EVALUATE, amount: 1, ..Tick::default() };
-    let evaluation = worker.evaluate(weights, &tick)?;
+    let evaluation = worker.evaluate(weights, u64::MAX, 1)?;
     Ok(evaluation.episodes.into_iter().next().map(|episode| episode.path).unwrap_or_default())
 }
 

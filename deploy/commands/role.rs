@@ -18,7 +18,6 @@ use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use trestle_actor::run::Left;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
@@ -168,16 +167,8 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
         worker.restore(state)?;
     }
     let mut link = IceoryxActor::new(&start.domain, &start.plan, index)?;
-    let rollout = start.plan.config.run.rollout;
-    let left = if free {
-        trestle_actor::stream::stream(&mut link, &mut worker, start.plan.run, rollout, &start.stop())
-            .map(|()| Left::Told)
-    } else {
-        trestle_actor::run::run(&mut link, &mut worker, rollout as usize, &start.stop())
-    };
-    match left {
-        Ok(Left::Stopped) => Ok(ExitCode::SUCCESS),
-        Ok(Left::Told) => Ok(ExitCode::from(TOLD)),
+    match trestle_actor::run::run(&mut link, &start.plan, &mut worker, &start.stop()) {
+        Ok(()) => Ok(ExitCode::from(TOLD)),
         Err(trestle_actor::run::RunError::Link(error)) => unlinked(error),
         Err(error) => Err(error.into()),
     }

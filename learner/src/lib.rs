@@ -1,7 +1,6 @@
 //! The process that learns: it feeds [`trestle_algorithm::agent::Agent`], and keeps records and checkpoints.
 
 pub mod checkpoint;
-mod free;
 pub mod record;
 pub mod run;
 pub mod session;

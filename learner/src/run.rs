@@ -1,29 +1,31 @@
-//! The loop of the learner's process in lockstep, and what it has in common with that of free mode (`free.rs`).
+//! The loop of the learner's process, the same in lockstep and in free mode.
 //!
-//! A tick: every actor sends exactly one batch; the learner takes them in by the actors' order, asking the
-//! mentor-server about each; takes the gradient steps that are due; publishes the weights; and sends the next tick.
-//! With `run.lag = 1` the next tick is sent before the gradient steps, so that actors and learner work at the same
-//! time, the actors with the weights of one tick earlier.
+//! A round: batches come; the learner takes them in, asking the mentor-server once about all of them; takes the gradient
+//! steps that are due; publishes the weights; and gives orders, which grant each actor its next batches.
 //!
-//! Weights are published only right before a tick that names them, when no actor can still be reading others. The
-//! outcome is therefore a function of the plan alone.
+//! *Lockstep* is this loop with a barrier. A round, which is called a tick there, has exactly one batch of each actor, in
+//! the actors' order. Weights are published only when every actor has sent its batch, so none can be reading others, and
+//! the outcome is a function of the plan alone. With `run.lag = 1` the orders for the next tick go out before the gradient
+//! steps, so that actors and learner work at the same time, the actors with the weights of one tick earlier.
+//!
+//! *Free mode* takes whichever batches have come. Actors and the mentor-server may be replaced meanwhile, and this process
+//! may itself have taken another's place: then the actors learn of it from its first orders, and announce themselves anew.
 
-use crate::free;
 use crate::record::{Progress, RunResult};
 use crate::session::{Resumed, Session, SessionError};
-use std::time::Instant;
-use trestle_link::{FromActor, LearnerLink, LinkError, Stop};
-use trestle_link::{logging, pulse};
+use std::time::{Duration, Instant};
+use trestle_link::{FromActor, LearnerLink, LinkError, Stop, logging, pulse};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::config::Mode;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
-use trestle_proto::observe::{OBSERVE, ObserveRequest, Observed, REBUILD, RESTORE};
+use trestle_proto::observe::{Answers, OBSERVE, ObserveRequest, Part, REBUILD, RESTORE};
+use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::RunPlan;
-use trestle_proto::query::{QueryRequest, TRANSITIONS};
-use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Reply};
+use trestle_proto::query::{NOT_READY, QueryRequest, TRANSITIONS, status_text};
+use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Evaluation, JOINED, Reply};
 use trestle_proto::rundir::RunDir;
 
 /// What ends the learner's process early.
@@ -45,10 +47,11 @@ pub enum RunError {
 
 /// Trains `plan`'s run over `link` until it is done or `stop` says so, and leaves its result in `dir`.
 ///
-/// When `stop` says so the tick under way is finished and a checkpoint taken; the result says `interrupted`.
+/// When `stop` says so the round under way is finished and a checkpoint taken; the result says `interrupted`.
 ///
 /// # Errors
-/// A peer that is gone or sends what cannot be right, training that diverges, or a file that cannot be written.
+/// A peer that sends what cannot be right or, in lockstep, is gone; a mentor-server that does not come back; training that
+/// diverges; or a file that cannot be written.
 pub fn run(
     link: &mut impl LearnerLink,
     plan: &RunPlan,
@@ -56,266 +59,520 @@ pub fn run(
     stop: Stop<'_>,
     progress: impl FnMut(&Progress),
 ) -> Result<RunResult, RunError> {
-    let Resumed { session, behaviour } = begin(link, plan, dir, stop, progress)?;
-    if plan.config.run.mode == Mode::Free {
-        return free::run(link, plan, session, stop);
-    }
-    let actors = plan.config.run.actors as usize;
-    let rollout = plan.config.run.rollout as usize;
-    Lockstep {
-        link,
-        plan,
-        session,
-        batches: vec![Batch::with_capacity(rollout, plan.spec.obs_dim()); actors],
-        arrived: vec![false; actors],
-        awaited: 0,
-        observed: Observed::default(),
-        snapshots: vec![None; actors],
-        snapshots_of: 0,
-        behaviour,
-        stop,
-    }
-    .run()
+    let mentor = welcome(link, plan, stop)?;
+    let Resumed { session, behaviour } = match plan.resume_tick {
+        None => Resumed { session: Session::new(plan, dir, mentor, progress)?, behaviour: None },
+        Some(tick) => Session::resume(plan, dir, tick, mentor, progress)?,
+    };
+    tracing::info!(tick = session.tick(), "ready to train");
+    Loop::new(link, plan, session, behaviour, stop).run()
 }
 
-/// Lets the other processes in and makes the session, or the one that goes on from the plan's checkpoint.
-fn begin<'a>(
+/// Lets the other processes in; in free mode the actors come when they like. Returns the mentor's transitions, if the run
+/// has a mentor.
+fn welcome(
     link: &mut impl LearnerLink,
-    plan: &'a RunPlan,
-    dir: &'a RunDir,
+    plan: &RunPlan,
     stop: Stop<'_>,
-    progress: impl FnMut(&Progress) + 'a,
-) -> Result<Resumed<'a>, RunError> {
-    let free = plan.config.run.mode == Mode::Free;
-    let mentor = loop {
+) -> Result<Option<MentorTransitions>, RunError> {
+    loop {
         link.welcome(stop)?;
         if plan.mentor_len() == 0 {
-            break None;
+            return Ok(None);
         }
         match fetch_transitions(link, plan) {
-            Err(RunError::Link(error)) if free && error.is_lost_peer() => {
+            Err(RunError::Link(error)) if plan.config.run.mode == Mode::Free && error.is_lost_peer() => {
                 tracing::warn!("the mentor-server is lost: {error}");
             }
-            transitions => break Some(transitions?),
+            transitions => return Ok(Some(transitions?)),
         }
-    };
-    let resumed = match plan.resume_tick {
-        None => Resumed { session: Session::new(plan, dir, mentor, progress)?, behaviour: None },
-        Some(tick) => {
-            let resumed = Session::resume(plan, dir, tick, mentor, progress)?;
-            if plan.mentor_len() > 0 && !free {
-                rebuild_mentor(link, plan, &resumed.session)?;
-            }
-            resumed
-        }
-    };
-    // In free mode the actors come when they like.
-    tracing::info!(tick = resumed.session.tick(), "ready to train");
-    Ok(resumed)
+    }
 }
 
-struct Lockstep<'a, L> {
+/// The present incarnation of an actor.
+#[derive(Clone, Copy)]
+struct Seat {
+    incarnation: u32,
+    /// Batches that have come.
+    batches: u64,
+    /// The actor's own number of its next transition.
+    next_seq: u64,
+}
+
+/// What has come for the round under way, in the order in which it counts.
+enum Came {
+    Batch(Batch),
+    /// An actor of free mode has announced itself.
+    Joined {
+        actor: u32,
+        incarnation: u32,
+    },
+}
+
+struct Loop<'a, L> {
     link: &'a mut L,
     plan: &'a RunPlan,
     session: Session<'a>,
-    /// Each actor's batch of the tick, and whether it has come.
-    batches: Vec<Batch>,
-    arrived: Vec<bool>,
-    /// The tick whose batches may come.
-    awaited: u64,
-    observed: Observed,
-    /// The snapshots that have come since they were asked for, and the tick that they were asked for after.
+    /// Lockstep: a round has one batch of each actor, and no process is replaced.
+    barrier: bool,
+    came: Vec<Came>,
+    /// Batches whose memory is free.
+    spare: Vec<Batch>,
+    answers: Answers,
+    /// None until the actor has announced itself.
+    seats: Vec<Option<Seat>>,
+    /// As published last.
+    orders: Orders,
+    /// The snapshots that have come since they were asked for.
     snapshots: Vec<Option<Vec<u8>>>,
-    snapshots_of: u64,
     /// What the actors act with where it is not the agent's newest: until the first publication of a resumed run, and
     /// for the checkpoint that is being taken.
     behaviour: Option<Vec<f32>>,
+    /// The round of the last checkpoint.
+    saved: Option<u64>,
     stop: Stop<'a>,
 }
 
-impl<L: LearnerLink> Lockstep<'_, L> {
-    fn run(mut self) -> Result<RunResult, RunError> {
-        let lag = u64::from(self.plan.config.run.lag);
-        let mut tick = self.session.tick();
-        if self.session.done() {
-            // The checkpoint is the run's last one; only the result is missing.
-            self.session.start()?;
-            self.link.send_tick(&self.session.stop())?;
-            return Ok(self.session.finish(false)?);
+impl<'a, L: LearnerLink> Loop<'a, L> {
+    fn new(
+        link: &'a mut L,
+        plan: &'a RunPlan,
+        session: Session<'a>,
+        behaviour: Option<Vec<f32>>,
+        stop: Stop<'a>,
+    ) -> Self {
+        let run = &plan.config.run;
+        let (actors, barrier) = (run.actors as usize, run.mode != Mode::Free);
+        // In lockstep every actor is there, and goes on from its snapshot.
+        let next_seq = session.tick() * u64::from(run.rollout);
+        let seat = barrier.then_some(Seat { incarnation: 0, batches: 0, next_seq });
+        Self {
+            barrier,
+            came: Vec::new(),
+            spare: vec![Batch::with_capacity(run.rollout as usize, plan.spec.obs_dim()); actors],
+            answers: Answers::default(),
+            seats: vec![seat; actors],
+            orders: Orders { run: plan.run, generation: plan.generation.into(), ..Orders::default() },
+            snapshots: vec![None; actors],
+            saved: plan.resume_tick,
+            link,
+            plan,
+            session,
+            behaviour,
+            stop,
         }
-        self.begin(tick, lag)?;
-        loop {
-            tick += 1;
-            logging::set_tick(tick);
+    }
+
+    fn run(mut self) -> Result<RunResult, RunError> {
+        self.session.start()?;
+        if self.barrier && self.session.done() {
+            // The checkpoint is the run's last one; only the result is missing.
+            return self.leave(false);
+        }
+        if self.plan.resume_tick.is_some() && self.plan.mentor_len() > 0 && !self.give_history(false)? {
+            return self.leave(true);
+        }
+        self.begin()?;
+        let lag = self.plan.config.run.lag == 1;
+        while !self.session.done() {
+            logging::set_tick(self.session.tick() + 1);
             self.receive()?;
             let leaving = (self.stop)();
-            let steps = |ticks| ticks * self.plan.steps_per_tick();
-            let saving = leaving || self.session.checkpoint_due(steps(tick - 1), steps(tick));
-            if lag == 1 {
-                self.dispatch(tick, saving, leaving)?;
+            let before = self.session.agent().counters().env_steps;
+            let saving = leaving || self.session.checkpoint_due(before, self.steps_received());
+            if lag {
+                self.dispatch(saving, leaving)?;
             }
-            self.learn(tick)?;
+            if !self.learn()? {
+                return self.leave(true);
+            }
             if self.session.done() {
-                return self.finish(tick, lag == 1 && !leaving);
+                return self.finish(lag && !leaving);
             }
-            if lag == 0 {
-                self.dispatch(tick, saving, leaving)?;
+            if !lag {
+                self.dispatch(saving, leaving)?;
             }
             if saving {
                 self.save()?;
             }
             if leaving {
-                tracing::info!("interrupted: the tick is finished and saved");
-                self.link.send_tick(&self.session.stop())?;
-                return Ok(self.session.finish(true)?);
+                tracing::info!("interrupted: the round is finished and saved");
+                return self.leave(true);
             }
         }
+        self.finish(false)
     }
 
-    /// Sends the first tick after `tick`, the last that has been trained on.
-    fn begin(&mut self, tick: u64, lag: u64) -> Result<(), RunError> {
-        self.session.start()?;
-        let version = if self.behaviour.is_some() { tick.saturating_sub(lag) } else { tick };
-        let weights = self.behaviour.take();
-        let weights = weights.as_deref().unwrap_or_else(|| self.session.agent().acting());
-        self.link.send_weights(version, weights)?;
-        self.send_collect(tick + 1, version)
-    }
-
-    fn send_collect(&mut self, tick: u64, version: u64) -> Result<(), RunError> {
-        self.awaited = tick;
-        Ok(self.link.send_tick(&self.session.collect(tick, version))?)
-    }
-
-    /// Publishes the newest weights and sends all ticks that come between the batches of `tick` and the next: an
-    /// evaluation that is due, snapshots if a checkpoint is taken, and, unless the run is leaving, the collection.
-    fn dispatch(&mut self, tick: u64, saving: bool, leaving: bool) -> Result<(), RunError> {
-        let version = self.session.tick();
-        self.link.send_weights(version, self.session.agent().acting())?;
-        if let Some(evaluate) = self.session.evaluate() {
-            self.link.send_tick(&evaluate)?;
+    /// Publishes the weights to begin with, and grants the first batches.
+    fn begin(&mut self) -> Result<(), RunError> {
+        let tick = self.session.tick();
+        match self.behaviour.take() {
+            Some(weights) => {
+                let version = tick.saturating_sub(u64::from(self.plan.config.run.lag));
+                self.link.send_weights(version, &weights)?;
+                self.orders.weights_version = version;
+            }
+            None => self.publish_weights()?,
         }
-        if saving {
-            // With a lag the agent learns on before the checkpoint is written.
-            let older = version < tick;
-            self.behaviour = older.then(|| self.session.agent().acting().to_vec());
-            self.snapshots.fill(None);
-            self.snapshots_of = tick;
-            self.link.send_tick(&self.session.snapshot(tick))?;
-        }
-        if leaving { Ok(()) } else { self.send_collect(tick + 1, version) }
+        self.grant();
+        Ok(self.link.send_orders(&self.orders)?)
     }
 
-    /// Waits for the batches of the tick that was sent, of all actors, and for the evaluation asked for before it.
+    /// Environment steps of all actors, those of batches that are still to be learnt from included.
+    fn steps_received(&self) -> u64 {
+        let came: u64 = batches(&self.came).map(|batch| batch.len() as u64).sum();
+        self.session.agent().counters().env_steps + came
+    }
+
+    /// Waits for what the round needs: in lockstep a batch of every actor and the evaluation that has been asked for; in
+    /// free mode anything at all, and then takes what else has come: no more than all windows hold, so that learning goes
+    /// on, and no less, so that no actor is overlooked.
     fn receive(&mut self) -> Result<(), RunError> {
-        while !self.arrived.iter().all(|arrived| *arrived) || self.session.awaits_evaluation() {
-            self.next()?;
+        if self.barrier {
+            while self.came.len() < self.seats.len() || self.session.awaits_evaluation() {
+                self.next(WAIT_SLICE)?;
+            }
+            self.came.sort_by_key(|came| match came {
+                Came::Batch(batch) => batch.header.actor,
+                Came::Joined { actor, .. } => *actor,
+            });
+            return Ok(());
         }
-        self.arrived.fill(false);
+        let most = self.seats.len() * self.plan.window() as usize;
+        let mut timeout = WAIT_SLICE;
+        while self.came.len() < most && self.next(timeout)? {
+            timeout = Duration::ZERO;
+        }
+        if self.link.mentor_waits() {
+            self.give_history(true)?;
+        }
         Ok(())
     }
 
-    /// Waits for the next message and puts it where it belongs. It is the supervisor that notices when a process dies or
-    /// hangs, and then ends this one.
-    fn next(&mut self) -> Result<(), RunError> {
+    /// Takes the next message, if one comes within `timeout`; false if none does. It is the supervisor that notices when a
+    /// process dies or hangs.
+    fn next(&mut self, timeout: Duration) -> Result<bool, RunError> {
         let start = Instant::now();
-        let message = loop {
-            if let Some(message) = self.link.recv(&mut self.batches, WAIT_SLICE)? {
-                break message;
-            }
-            pulse::step();
-        };
-        self.session.waited(start.elapsed());
+        let mut batch = self.spare.pop().unwrap_or_default();
+        let message = self.link.recv(&mut batch, timeout)?;
+        if !timeout.is_zero() {
+            self.session.waited(start.elapsed());
+        }
+        let came = message.is_some();
         match message {
-            FromActor::Reply(reply) => self.reply(reply),
-            FromActor::Batch(actor) => {
-                let (found, awaited) = (self.batches[actor as usize].header.tick, self.awaited);
-                if found == awaited && !std::mem::replace(&mut self.arrived[actor as usize], true) {
-                    return Ok(());
+            Some(FromActor::Batch) if self.accept(&batch)? => self.came.push(Came::Batch(batch)),
+            other => {
+                self.spare.push(batch);
+                match other {
+                    Some(FromActor::Reply(reply)) => self.take_reply(reply)?,
+                    Some(FromActor::Batch) => {}
+                    None => pulse::step(),
                 }
-                let text = format!("actor {actor}'s batch of tick {found}; tick {awaited} is awaited");
-                Err(LinkError::Unexpected(text).into())
             }
         }
+        Ok(came)
     }
 
-    fn reply(&mut self, reply: Reply) -> Result<(), RunError> {
-        let actor = reply.header.actor;
-        match reply.header.kind {
-            EVALUATION => {
-                let evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
-                Ok(self.session.evaluated(&evaluation)?)
+    /// Whether `batch` counts: it must be the next of its actor's incarnation, and granted. One of an incarnation that has
+    /// been replaced does not.
+    fn accept(&mut self, batch: &Batch) -> Result<bool, RunError> {
+        let header = batch.header;
+        let actor = header.actor;
+        let unexpected = |text| Err(LinkError::Unexpected(text).into());
+        let seat = self.seats[actor as usize].as_mut();
+        let Some(seat) = seat.filter(|seat| seat.incarnation == header.incarnation) else {
+            if self.barrier {
+                return unexpected(format!("a batch of incarnation {} of actor {actor}", header.incarnation));
             }
-            ACTOR_STATE if reply.header.tick == self.snapshots_of => {
+            tracing::info!(actor, incarnation = header.incarnation, "a batch of a replaced actor is dropped");
+            return Ok(false);
+        };
+        let (found, expected) = (header.first_seq, seat.next_seq);
+        if found != expected {
+            return unexpected(format!(
+                "a batch of actor {actor} from number {found} on; {expected} is the next"
+            ));
+        }
+        let granted = self.orders.granted(actor, seat.incarnation);
+        let (count, rollout) = (header.count, self.plan.config.run.rollout);
+        if count != rollout || seat.batches >= granted {
+            return unexpected(format!(
+                "a batch of actor {actor} with {count} transitions, after {} batches; it is granted {granted} of {rollout}",
+                seat.batches
+            ));
+        }
+        let (version, wanted) = (header.weights_version, self.orders.weights_version);
+        if self.barrier && version != wanted {
+            return unexpected(format!(
+                "a batch of actor {actor} with weights {version}; it was to act with {wanted}"
+            ));
+        }
+        seat.batches += 1;
+        seat.next_seq += batch.len() as u64;
+        Ok(true)
+    }
+
+    fn take_reply(&mut self, reply: Reply) -> Result<(), RunError> {
+        let (actor, number) = (reply.header.actor, reply.header.number);
+        match reply.header.kind {
+            JOINED => self.join(actor, number),
+            EVALUATION => {
+                let evaluation: Evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
+                // An actor and the one that replaces it may both have played the same. One that has not announced itself to this
+                // learner has played it with another one's weights.
+                let announced = self.seats[actor as usize].is_some();
+                if announced && self.orders.evaluation == number && number > 0 {
+                    self.session.evaluated(&evaluation)?;
+                    self.orders.evaluation = 0;
+                } else if self.barrier {
+                    let text = format!("evaluation {number} from actor {actor}");
+                    return Err(LinkError::Unexpected(text).into());
+                }
+                Ok(())
+            }
+            ACTOR_STATE if number == self.orders.snapshot => {
                 self.snapshots[actor as usize] = Some(reply.payload);
                 Ok(())
             }
+            // The run has reached its end before they were needed.
+            ACTOR_STATE if number < self.orders.snapshot => Ok(()),
             kind => {
-                let tick = reply.header.tick;
-                let text = format!("a reply of kind {kind} to tick {tick} from actor {actor}");
+                let text = format!("a reply of kind {kind} with number {number} from actor {actor}");
                 Err(LinkError::Unexpected(text).into())
             }
         }
     }
 
-    /// Takes the batches in, in the order of the actors, and trains.
-    fn learn(&mut self, tick: u64) -> Result<(), RunError> {
-        // Once the run has reached its limits, what the agent drops still counts for the mentor-server.
-        let mut first_index = self.session.agent().counters().env_steps;
-        for (actor, batch) in self.batches.iter().enumerate() {
-            let observed = if self.plan.mentor_len() > 0 {
-                let request = request(self.plan, tick, first_index, OBSERVE, actor as u32, batch.len());
-                let start = Instant::now();
-                self.link.observe(&request, batch.payload(), &mut self.observed)?;
-                self.session.waited(start.elapsed());
-                Some(&self.observed)
-            } else {
-                None
-            };
-            self.session.ingest(batch, observed)?;
-            first_index += batch.len() as u64;
+    /// An actor has announced itself. In lockstep it was expected.
+    fn join(&mut self, actor: u32, number: u64) -> Result<(), RunError> {
+        let incarnation = u32::try_from(number).unwrap_or(u32::MAX);
+        let (generation, present) = (incarnation >> 16, u32::from(self.plan.generation));
+        let seat = &mut self.seats[actor as usize];
+        let known = seat.is_some_and(|seat| seat.incarnation >= incarnation);
+        if generation > present || (self.barrier && !known) {
+            return Err(LinkError::Unexpected(format!("incarnation {number} of actor {actor}")).into());
         }
-        Ok(self.session.train(tick)?)
+        // One of an earlier generation has not heard of this learner yet.
+        if generation == present && !known {
+            *seat = Some(Seat { incarnation, batches: 0, next_seq: 0 });
+            self.came.push(Came::Joined { actor, incarnation });
+            tracing::info!(actor, incarnation, "an actor has come");
+        }
+        Ok(())
     }
 
-    /// Waits for all snapshots that were asked for and writes the checkpoint. Batches of the next tick, which the
-    /// actors begin as soon as they have answered, may come meanwhile.
+    /// Takes in what has come, and trains. False: there is no mentor-server, and the run is to end.
+    fn learn(&mut self) -> Result<bool, RunError> {
+        let before = self.session.agent().counters().env_steps;
+        while !self.came.is_empty() {
+            // In lockstep this is the whole tick.
+            let count = self.came.len().min(self.seats.len());
+            if self.plan.mentor_len() > 0 && !self.observe(count)? {
+                return Ok(false);
+            }
+            let mut answers = self.answers.parts().iter();
+            for came in self.came.drain(..count) {
+                match came {
+                    Came::Joined { actor, incarnation } => self.session.joined(actor, incarnation),
+                    Came::Batch(batch) => {
+                        let answer = answers.next();
+                        // In lockstep the agent must know that it drops what comes after the run's limits.
+                        if self.barrier || !self.session.done() {
+                            let counted = self.session.ingest(&batch, answer)?;
+                            self.session.count_batch(&batch, counted);
+                        }
+                        self.spare.push(batch);
+                    }
+                }
+            }
+        }
+        if self.session.agent().counters().env_steps > before {
+            self.session.train(self.session.tick() + 1)?;
+        }
+        Ok(true)
+    }
+
+    /// Asks the mentor-server about the batches among the first `count` messages; in free mode another one if it dies
+    /// meanwhile. False: there is none, and the run is to end.
+    fn observe(&mut self, count: usize) -> Result<bool, RunError> {
+        // Once the run has reached its limits, what the agent drops still counts for the mentor-server.
+        let first_index = self.session.agent().counters().env_steps;
+        let round = self.session.tick() + 1;
+        loop {
+            let parts: Vec<Part<'_>> = batches(&self.came[..count]).map(Part::of).collect();
+            if parts.is_empty() {
+                return Ok(true);
+            }
+            let request = request(self.plan, round, first_index, OBSERVE, parts.len());
+            let start = Instant::now();
+            let answer = self.link.observe(&request, &parts, &mut self.answers);
+            self.session.waited(start.elapsed());
+            match answer {
+                Ok(()) => return Ok(true),
+                Err(error) if !self.barrier && is_lost_mentor(&error) => {
+                    tracing::warn!("the mentor-server is lost: {error}");
+                    if !self.give_history(true)? {
+                        return Ok(false);
+                    }
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// Gives the mentor-server, which knows nothing, the history; where it is `lost`, or in free mode is lost meanwhile, the
+    /// next one that comes. False: the run is to end first.
+    fn give_history(&mut self, mut lost: bool) -> Result<bool, RunError> {
+        loop {
+            if lost {
+                let start = Instant::now();
+                let joined = self.link.rejoin_mentor(self.stop);
+                self.session.waited(start.elapsed());
+                match joined {
+                    Err(LinkError::Interrupted(_)) => return Ok(false),
+                    joined => joined?,
+                }
+            }
+            match rebuild_mentor(self.link, self.plan, &self.session) {
+                Ok(()) => break,
+                Err(RunError::Link(error)) if !self.barrier && is_lost_mentor(&error) => {
+                    tracing::warn!("the mentor-server is lost: {error}");
+                    lost = true;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        tracing::info!("a new mentor-server has the history");
+        Ok(true)
+    }
+
+    fn publish_weights(&mut self) -> Result<(), RunError> {
+        self.orders.weights_version = self.session.tick();
+        Ok(self.link.send_weights(self.session.tick(), self.session.agent().acting())?)
+    }
+
+    /// Puts into the orders what each actor may send next: in lockstep one batch, in free mode as many as its window holds.
+    fn grant(&mut self) {
+        self.orders.round = self.session.tick() + 1 + u64::from(!self.came.is_empty());
+        self.orders.env_steps = self.steps_received();
+        for (share, seat) in self.orders.shares.iter_mut().zip(&self.seats) {
+            let Some(Seat { incarnation, batches, .. }) = *seat else { continue };
+            *share =
+                Share { counted: batches, granted: batches + self.plan.window(), incarnation, reserved: 0 };
+        }
+    }
+
+    /// Publishes the newest weights and gives the orders for the next round: an evaluation that is due, snapshots if a
+    /// checkpoint is taken, and, unless the run is leaving, the next batches.
+    ///
+    /// In free mode this also happens where nothing has changed: a new actor waits for it.
+    fn dispatch(&mut self, saving: bool, leaving: bool) -> Result<(), RunError> {
+        let version = self.session.tick();
+        if version != self.orders.weights_version {
+            self.publish_weights()?;
+        }
+        // In free mode one that is awaited keeps the next one waiting.
+        if !self.session.awaits_evaluation()
+            && let Some((number, episodes)) = self.session.evaluate()
+        {
+            (self.orders.evaluation, self.orders.episodes) = (number + 1, episodes);
+        }
+        if saving && self.barrier {
+            // With a lag the agent learns on before the checkpoint is written.
+            let older = !self.came.is_empty();
+            self.behaviour = older.then(|| self.session.agent().acting().to_vec());
+            self.snapshots.fill(None);
+            self.orders.snapshot += 1;
+        }
+        // In free mode orders also acknowledge what has been counted.
+        if !leaving || !self.barrier {
+            self.grant();
+        }
+        Ok(self.link.send_orders(&self.orders)?)
+    }
+
+    /// Writes the checkpoint; in lockstep once all snapshots and the evaluation that were asked for have come. Batches of
+    /// the next tick, which the actors begin as soon as they have answered, may come meanwhile. In free mode the actors
+    /// begin a new episode when the run is resumed.
     fn save(&mut self) -> Result<(), RunError> {
+        if !self.barrier {
+            // What has come since the last one need not be a batch, and checkpoints are told apart by their rounds.
+            if self.saved == Some(self.session.tick()) {
+                self.session.skip_round();
+            }
+            self.saved = Some(self.session.tick());
+            return Ok(self.session.checkpoint(None, &vec![Vec::new(); self.seats.len()])?);
+        }
         while self.snapshots.iter().any(Option::is_none) || self.session.awaits_evaluation() {
-            self.next()?;
+            self.next(WAIT_SLICE)?;
         }
         let snapshots: Vec<Vec<u8>> = self.snapshots.iter_mut().filter_map(Option::take).collect();
         Ok(self.session.checkpoint(self.behaviour.take().as_deref(), &snapshots)?)
     }
 
-    /// The run has reached its limits in `tick`: a last evaluation, a last checkpoint, the result. `ahead`: the actors
-    /// have been sent on to the next tick, whose batches nobody needs.
-    fn finish(mut self, tick: u64, ahead: bool) -> Result<RunResult, RunError> {
+    /// The run has reached its limits: a last evaluation, a last checkpoint, the result. `ahead`: the actors have been sent
+    /// on to the next round, whose batches nobody needs. In free mode the run may be interrupted meanwhile, and then still
+    /// owes the evaluation.
+    fn finish(mut self, ahead: bool) -> Result<RunResult, RunError> {
         if ahead {
             self.receive()?;
             self.session.cut_short();
+            self.came.clear();
         }
-        while self.session.awaits_evaluation() {
-            self.next()?;
+        if !self.barrier {
+            // Before the evaluation, too: whatever happens to the actor that plays it, the training is kept.
+            self.save()?;
+        }
+        if !self.await_evaluation()? {
+            return self.leave(true);
         }
         self.session.request_final_evaluation();
-        self.dispatch(tick, true, true)?;
+        self.dispatch(true, true)?;
+        if !self.await_evaluation()? {
+            return self.leave(true);
+        }
         self.save()?;
-        self.link.send_tick(&self.session.stop())?;
-        Ok(self.session.finish(false)?)
+        self.leave(false)
+    }
+
+    /// False: the run is to end first.
+    fn await_evaluation(&mut self) -> Result<bool, RunError> {
+        while self.session.awaits_evaluation() {
+            if !self.barrier && (self.stop)() {
+                return Ok(false);
+            }
+            self.next(WAIT_SLICE)?;
+        }
+        Ok(true)
+    }
+
+    fn leave(mut self, interrupted: bool) -> Result<RunResult, RunError> {
+        self.orders.stop = 1;
+        self.link.send_orders(&self.orders)?;
+        Ok(self.session.finish(interrupted)?)
     }
 }
 
-pub(crate) fn request(
-    plan: &RunPlan,
-    tick: u64,
-    first_index: u64,
-    op: u32,
-    actor: u32,
-    count: usize,
-) -> ObserveRequest {
+/// The batches of a round, in order.
+fn batches(came: &[Came]) -> impl Iterator<Item = &Batch> {
+    came.iter().filter_map(|came| match came {
+        Came::Batch(batch) => Some(batch),
+        Came::Joined { .. } => None,
+    })
+}
+
+/// Whether the mentor-server is gone, or one that has not been let in has taken its place.
+fn is_lost_mentor(error: &LinkError) -> bool {
+    match error {
+        LinkError::Receivers { found, expected, .. } => found < expected,
+        LinkError::Refused { reason, .. } => *reason == status_text(NOT_READY),
+        _ => false,
+    }
+}
+
+fn request(plan: &RunPlan, round: u64, first_index: u64, op: u32, count: usize) -> ObserveRequest {
     let (run, count, obs_dim) = (plan.run, count as u32, plan.spec.obs_dim() as u32);
-    ObserveRequest { run, tick, first_index, op, actor, count, obs_dim }
+    ObserveRequest { run, round, first_index, op, count, obs_dim, reserved: 0 }
 }
 
 /// Asks the mentor-server for the mentor's transitions, piece by piece.
@@ -343,27 +600,31 @@ fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<Ment
 }
 
 /// Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
-pub(crate) fn rebuild_mentor(
+fn rebuild_mentor(
     link: &mut impl LearnerLink,
     plan: &RunPlan,
     session: &Session<'_>,
 ) -> Result<(), RunError> {
-    let (agent, tick) = (session.agent(), session.tick());
+    let (agent, round) = (session.agent(), session.tick());
     let replay = agent.replay();
-    let (mut batch, mut observed) = (Batch::default(), Observed::default());
+    let mut batch = Batch::default();
     let mut index = replay.first_index();
     while index < replay.next_index() {
         let count = replay.fill_batch(index, plan.config.run.rollout as usize, &mut batch);
-        let request = request(plan, tick, index, REBUILD, batch.header.actor, count);
-        link.observe(&request, batch.payload(), &mut observed)?;
+        let part = Part::of(&batch);
+        link.teach(&request(plan, round, index, REBUILD, 1), &[&part.header(), part.payload].concat())?;
         pulse::step();
         index += count as u64;
     }
     let records = agent.annotation_records();
     let record = record_words(plan.spec.obs_dim());
     for chunk in records.chunks(record * MAX_QUERY_ROWS as usize) {
-        let request = request(plan, tick, replay.next_index(), RESTORE, 0, chunk.len() / record);
-        link.observe(&request, chunk, &mut observed)?;
+        let request = request(plan, round, replay.next_index(), RESTORE, chunk.len() / record);
+        link.teach(&request, chunk)?;
     }
     Ok(())
 }
+
+#[cfg(test)]
+#[path = "run_tests.rs"]
+mod tests;

@@ -19,11 +19,11 @@ use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::Mode;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
+use trestle_proto::orders::Collect;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::Evaluation;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
-use trestle_proto::tick::{COLLECT, EVALUATE, SNAPSHOT, STOP, Tick};
 
 const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 5 };
 
@@ -199,43 +199,26 @@ impl<'a> Session<'a> {
         self.tick
     }
 
-    /// The tick that makes the actors collect for tick `number` with weights `version`.
-    pub fn collect(&self, number: u64, version: u64) -> Tick {
-        Tick {
-            tick: number,
+    /// The work that makes the actors collect for tick `number` with weights `version`.
+    pub fn collect(&self, number: u64, version: u64) -> Collect {
+        Collect {
+            run: self.plan.run,
+            round: number,
             weights_version: version,
             // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
             env_steps: (number - 1) * self.plan.steps_per_tick(),
-            kind: COLLECT,
-            amount: self.plan.config.run.rollout,
-            ..self.blank()
+            steps: self.plan.config.run.rollout,
         }
     }
 
-    /// The tick that asks for the evaluation that is due, if one is. It is to be sent at once, and answered before
-    /// the next one becomes due for the second time.
-    pub fn evaluate(&mut self) -> Option<Tick> {
+    /// Number, from 0, and episodes of the evaluation that is due, if one is. It is to be asked for at once, and answered
+    /// before the next one becomes due for the second time.
+    pub fn evaluate(&mut self) -> Option<(u64, u32)> {
         let due = self.due.take()?;
         // In free mode it may have had to wait for the one before, and is played with the weights of now.
         self.ordered =
             Some(if self.plan.config.run.mode == Mode::Free { self.agent.counters() } else { due });
-        let (weights_version, evaluation) = (self.tick, self.evaluations);
-        let amount = self.plan.config.eval.episodes;
-        Some(Tick { weights_version, evaluation, kind: EVALUATE, amount, ..self.blank() })
-    }
-
-    /// The tick that asks for snapshots after tick `number`.
-    pub fn snapshot(&self, number: u64) -> Tick {
-        Tick { tick: number, kind: SNAPSHOT, ..self.blank() }
-    }
-
-    /// The tick that ends the run.
-    pub fn stop(&self) -> Tick {
-        Tick { kind: STOP, ..self.blank() }
-    }
-
-    fn blank(&self) -> Tick {
-        Tick { run: self.plan.run, tick: self.tick, ..Tick::default() }
+        Some((self.evaluations, self.plan.config.eval.episodes))
     }
 
     /// Takes one actor's batch in; the batches of a tick come in the order of the actors. Returns how many transitions

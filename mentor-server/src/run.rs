@@ -5,10 +5,9 @@ use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::mentor::{Mentor, MentorError};
 use trestle_link::{LinkError, MentorHandler, MentorLink, Stop};
 use trestle_link::{logging, pulse};
-use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
-use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, REBUILD, RESTORE};
+use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part, REBUILD, RESTORE};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{
     ANNOTATIONS, BRIDGE, MALFORMED, OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS, TRANSITIONS,
@@ -80,30 +79,53 @@ struct Server<'a> {
 }
 
 impl Server<'_> {
-    fn try_observe(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), u32> {
-        self.observed.clear();
+    /// Carries `request` out part by part and appends the answers to `out`; returns how many searches met their limit.
+    fn try_observe(
+        &mut self,
+        request: &ObserveRequest,
+        mut payload: &[u32],
+        out: &mut Vec<u32>,
+    ) -> Result<u32, u32> {
         if request.op == RESTORE {
-            return self.mentor.restore(payload).map_err(|e| refuse(&e));
+            return self.mentor.restore(payload).map(|()| 0).map_err(|e| refuse(&e));
         }
+        let (mut first, mut cut_short) = (request.first_index, 0);
+        for _ in 0..request.count {
+            let part = Part::take(&mut payload, self.obs_dim).ok_or_else(|| {
+                tracing::warn!("refused: a request whose parts do not fit its {} words", payload.len());
+                MALFORMED
+            })?;
+            self.take_part(request, &part)?;
+            match request.op {
+                OBSERVE => {
+                    self.mentor
+                        .observe(first, part.actor, &self.batch, &mut self.observed)
+                        .map_err(|e| refuse(&e))?;
+                    self.observed.encode(self.obs_dim, out);
+                    cut_short += self.observed.cut_short;
+                }
+                REBUILD => self.mentor.rebuild(first, part.actor, &self.batch).map_err(|e| refuse(&e))?,
+                _ => return Err(UNKNOWN_OP),
+            }
+            first += u64::from(part.count);
+        }
+        if payload.is_empty() { Ok(cut_short) } else { Err(MALFORMED) }
+    }
+
+    /// Copies and checks the transitions of one part.
+    fn take_part(&mut self, request: &ObserveRequest, part: &Part<'_>) -> Result<(), u32> {
         let header = BatchHeader {
             run: request.run,
-            tick: request.tick,
-            actor: request.actor,
-            count: request.count,
+            round: request.round,
+            actor: part.actor,
+            count: part.count,
             obs_dim: request.obs_dim,
             ..BatchHeader::default()
         };
-        self.batch.receive(header, payload, self.obs_dim, self.n_actions).map_err(|e| {
+        self.batch.receive(header, part.payload, self.obs_dim, self.n_actions).map_err(|e| {
             tracing::warn!("refused: {e}");
             MALFORMED
-        })?;
-        let (first, actor) = (request.first_index, request.actor);
-        match request.op {
-            OBSERVE => self.mentor.observe(first, actor, &self.batch, &mut self.observed),
-            REBUILD => self.mentor.rebuild(first, actor, &self.batch),
-            _ => return Err(UNKNOWN_OP),
-        }
-        .map_err(|e| refuse(&e))
+        })
     }
 
     /// Says so the first time, and whenever ten times as many searches have met their limit.
@@ -163,19 +185,17 @@ impl MentorHandler for Server<'_> {
     }
 
     fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
-        logging::set_tick(request.tick);
+        logging::set_tick(request.round);
         let first_index = request.first_index;
-        match self.try_observe(request, payload) {
-            Ok(()) => {
-                let count = self.observed.mentor.len() as u32;
-                let changed = (self.observed.changed.len() / record_words(self.obs_dim)) as u32;
-                out.extend_from_slice(&self.observed.mentor);
-                out.extend_from_slice(&self.observed.changed);
-                let cut_short = self.observed.cut_short;
+        match self.try_observe(request, payload, out) {
+            Ok(cut_short) => {
                 self.count_cut_short(cut_short);
-                ObserveAnswer { first_index, status: OK, count, changed, cut_short }
+                ObserveAnswer { first_index, status: OK, cut_short }
             }
-            Err(status) => ObserveAnswer { first_index, status, ..ObserveAnswer::default() },
+            Err(status) => {
+                out.clear();
+                ObserveAnswer { first_index, status, cut_short: 0 }
+            }
         }
     }
 

@@ -1,4 +1,4 @@
-//! A batch of transitions: what an actor sends after each tick, and what the replay and the mentor-server read.
+//! A batch of transitions: what an actor sends in each round, and what the replay and the mentor-server read.
 //!
 //! Layout of the payload, `count` transitions of `obs_dim` features, in 32-bit words, as a structure of arrays:
 //!
@@ -36,8 +36,8 @@ pub const fn words(count: usize, obs_dim: usize) -> usize {
 pub struct BatchHeader {
     /// Identity of the run: batches of another run are refused.
     pub run: u64,
-    /// The tick that asked for this batch.
-    pub tick: u64,
+    /// The round whose orders granted this batch; in lockstep the tick.
+    pub round: u64,
     /// The actor's own number of the first transition, counted from 0.
     pub first_seq: u64,
     /// Version of the weights that chose the actions.
@@ -53,7 +53,7 @@ pub struct BatchHeader {
 }
 
 impl Message for BatchHeader {
-    const TYPE_NAME: &'static str = "trestle.BatchHeader.v1";
+    const TYPE_NAME: &'static str = "trestle.BatchHeader.v2";
 }
 
 /// A batch whose header, size or contents cannot be right.

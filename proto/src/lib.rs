@@ -22,7 +22,6 @@ pub mod rng;
 pub mod rundir;
 pub mod schedule;
 pub mod space;
-pub mod tick;
 pub mod waypoints;
 pub mod weights;
 

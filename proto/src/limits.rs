@@ -39,8 +39,6 @@ pub const MAX_LOG_BYTES: u64 = 4 << 20;
 
 /// Batches that may wait for the learner, each actor.
 pub const TRANSITIONS_BUFFER: usize = 64;
-/// Ticks that may wait for an actor: at most an evaluation, a snapshot, a collection and a stop are under way.
-pub const TICKS_BUFFER: usize = 8;
 /// Replies that may wait for the learner, each actor.
 pub const REPLIES_BUFFER: usize = 8;
 

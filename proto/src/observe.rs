@@ -1,12 +1,17 @@
-//! `mentor/observe`: the learner hands each batch on, in its replay's order, and gets back, for every transition, a
-//! similar mentor transition or none, and the annotations that changed.
+//! `mentor/observe`: the learner hands each round's batches on, in its replay's order, and gets back, for every
+//! transition, a similar mentor transition or none, and the annotations that changed.
 //!
-//! Request payload: a batch ([`crate::batch`]) for [`OBSERVE`] and [`REBUILD`], annotation records
-//! ([`crate::annotation`]) for [`RESTORE`]. Answer payload: `count` words (an index of a mentor transition, or
-//! [`NONE`]), then `changed` annotation records.
+//! Request payload for [`OBSERVE`] and [`REBUILD`], one part after the other: the actor, the number of transitions, and
+//! a batch's payload ([`crate::batch`]). For [`RESTORE`]: annotation records ([`crate::annotation`]).
+//!
+//! Answer payload to [`OBSERVE`], one part after the other: for each transition an index of a mentor transition, or
+//! [`NONE`]; the number of records; and the annotation records that this part changed. So the learner can take the parts
+//! over one by one, as if it had asked about each of them alone.
 
 use crate::NONE;
 use crate::annotation::record_words;
+use crate::batch::{self, Batch};
+use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
 
@@ -18,28 +23,31 @@ pub const REBUILD: u32 = 2;
 /// Replace annotations by those of a checkpoint.
 pub const RESTORE: u32 = 3;
 
+/// Words in front of a part's batch.
+pub const PART_WORDS: usize = 2;
+
 /// What is sent beside a request.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct ObserveRequest {
     /// Identity of the run.
     pub run: u64,
-    /// The tick that the batch belongs to, for logs.
-    pub tick: u64,
+    /// The round that the batches belong to, for logs.
+    pub round: u64,
     /// Position of the first transition in the run's one history, counted from 0; must be where the last ended.
     pub first_index: u64,
     /// One of the constants of this module.
     pub op: u32,
-    /// The actor whose transitions these are: consecutive ones of one actor follow upon each other in time.
-    pub actor: u32,
-    /// Transitions, or records.
+    /// Parts of the payload, or records.
     pub count: u32,
     /// Features of an observation.
     pub obs_dim: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 impl Message for ObserveRequest {
-    const TYPE_NAME: &'static str = "trestle.ObserveRequest.v1";
+    const TYPE_NAME: &'static str = "trestle.ObserveRequest.v2";
 }
 
 /// What is sent beside an answer.
@@ -50,23 +58,59 @@ pub struct ObserveAnswer {
     pub first_index: u64,
     /// 0, or a fault: one of [`crate::query::STATUS`]' positions.
     pub status: u32,
-    /// Mentor indices in the payload.
-    pub count: u32,
-    /// Annotation records in the payload, after the indices.
-    pub changed: u32,
     /// Searches for bridges that met their limit.
     pub cut_short: u32,
 }
 
 impl Message for ObserveAnswer {
-    const TYPE_NAME: &'static str = "trestle.ObserveAnswer.v1";
+    const TYPE_NAME: &'static str = "trestle.ObserveAnswer.v2";
+}
+
+/// One part of a request: consecutive transitions of one actor, which follow upon each other in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part<'a> {
+    /// The actor.
+    pub actor: u32,
+    /// Its transitions.
+    pub count: u32,
+    /// They themselves, as a batch's payload.
+    pub payload: &'a [u32],
+}
+
+impl<'a> Part<'a> {
+    /// The part that `batch` makes.
+    pub fn of(batch: &'a Batch) -> Self {
+        Self { actor: batch.header.actor, count: batch.header.count, payload: batch.payload() }
+    }
+
+    /// What stands in front of the part's payload.
+    pub fn header(&self) -> [u32; PART_WORDS] {
+        [self.actor, self.count]
+    }
+
+    /// Words of the part as it travels.
+    pub fn words(&self) -> usize {
+        PART_WORDS + self.payload.len()
+    }
+
+    /// Takes the first part off `words`; none where they do not hold a whole one of 1 to [`MAX_ROLLOUT`] transitions of
+    /// `obs_dim` features.
+    pub fn take(words: &mut &'a [u32], obs_dim: usize) -> Option<Self> {
+        let (&[actor, count], rest) = words.split_first_chunk()?;
+        if !(1..=MAX_ROLLOUT).contains(&count) {
+            return None;
+        }
+        let (payload, rest) = rest.split_at_checked(batch::words(count as usize, obs_dim))?;
+        *words = rest;
+        Some(Self { actor, count, payload })
+    }
 }
 
 /// An answer that cannot be right.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ObserveError {
-    /// The payload's size does not follow from the header.
-    #[error("answer of the mentor-server has {found} words; its header asks for {expected}")]
+    /// The payload is not what the parts of the request ask for.
+    #[error("answer of the mentor-server has {found} words; its parts ask for {expected}")]
     Size {
         /// Words received.
         found: usize,
@@ -83,7 +127,7 @@ pub enum ObserveError {
     },
 }
 
-/// An answer in private memory.
+/// The answer to one part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Observed {
     /// For each transition the index of a similar mentor transition, or [`NONE`].
@@ -102,23 +146,33 @@ impl Observed {
         self.cut_short = 0;
     }
 
-    /// Copies what a peer sent and checks sizes and indices (records are checked where they are applied).
-    pub fn receive(
+    /// Appends the answer to `out` as it travels.
+    pub fn encode(&self, obs_dim: usize, out: &mut Vec<u32>) {
+        out.extend_from_slice(&self.mentor);
+        out.push((self.changed.len() / record_words(obs_dim)) as u32);
+        out.extend_from_slice(&self.changed);
+    }
+
+    /// Copies what a peer answered to a part of `count` transitions, takes it off `words`, and checks sizes and indices
+    /// (records are checked where they are applied).
+    fn receive(
         &mut self,
-        answer: &ObserveAnswer,
-        payload: &[u32],
+        words: &mut &[u32],
+        count: usize,
         obs_dim: usize,
         mentor_len: usize,
     ) -> Result<(), ObserveError> {
-        let (count, changed) = (answer.count as usize, answer.changed as usize);
-        let expected = count.saturating_add(changed.saturating_mul(record_words(obs_dim)));
-        if payload.len() != expected {
-            return Err(ObserveError::Size { found: payload.len(), expected });
-        }
+        let found = words.len();
+        let size = |expected| ObserveError::Size { found, expected };
+        let (mentor, rest) = words.split_at_checked(count).ok_or(size(count + 1))?;
+        let (&changed, rest) = rest.split_first().ok_or(size(count + 1))?;
+        let changed = (changed as usize).saturating_mul(record_words(obs_dim));
+        let (changed, rest) =
+            rest.split_at_checked(changed).ok_or(size(changed.saturating_add(count + 1)))?;
+        *words = rest;
         self.clear();
-        self.mentor.extend_from_slice(&payload[..count]);
-        self.changed.extend_from_slice(&payload[count..]);
-        self.cut_short = answer.cut_short;
+        self.mentor.extend_from_slice(mentor);
+        self.changed.extend_from_slice(changed);
         match self.mentor.iter().find(|&&j| j != NONE && j as usize >= mentor_len) {
             Some(&index) => Err(ObserveError::Index { index, len: mentor_len }),
             None => Ok(()),
@@ -126,19 +180,102 @@ impl Observed {
     }
 }
 
+/// The answers to the parts of one request, in their order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answers {
+    parts: Vec<Observed>,
+    len: usize,
+}
+
+impl Answers {
+    /// The answers; none before the first request.
+    pub fn parts(&self) -> &[Observed] {
+        &self.parts[..self.len]
+    }
+
+    /// Copies the answer to a request with `counts` transitions a part, and checks it as [`Observed`] says. Keeps its
+    /// memory from one answer to the next.
+    ///
+    /// # Errors
+    /// Sizes that are not those of the request, or indices outside the demonstration. No part counts then.
+    pub fn receive(
+        &mut self,
+        answer: &ObserveAnswer,
+        mut payload: &[u32],
+        counts: impl Iterator<Item = usize>,
+        obs_dim: usize,
+        mentor_len: usize,
+    ) -> Result<(), ObserveError> {
+        self.len = 0;
+        let mut len = 0;
+        for count in counts {
+            if self.parts.len() == len {
+                self.parts.push(Observed::default());
+            }
+            self.parts[len].receive(&mut payload, count, obs_dim, mentor_len)?;
+            len += 1;
+        }
+        if !payload.is_empty() {
+            return Err(ObserveError::Size { found: payload.len(), expected: 0 });
+        }
+        if let Some(last) = self.parts[..len].last_mut() {
+            last.cut_short = answer.cut_short;
+        }
+        self.len = len;
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn received(words: &[u32], counts: &[usize]) -> Result<Vec<Vec<u32>>, ObserveError> {
+        let mut answers = Answers::default();
+        let counts = counts.iter().copied();
+        answers.receive(&ObserveAnswer::default(), words, counts, 2, 4)?;
+        Ok(answers.parts().iter().map(|part| part.mentor.clone()).collect())
+    }
+
     #[test]
     fn sizes_and_indices_are_checked() {
-        let answer = ObserveAnswer { count: 2, ..ObserveAnswer::default() };
-        let mut got = Observed::default();
-        assert_eq!(got.receive(&answer, &[3, NONE], 2, 4), Ok(()));
-        assert_eq!(got.mentor, [3, NONE]);
-        assert!(matches!(got.receive(&answer, &[4, NONE], 2, 4), Err(ObserveError::Index { index: 4, .. })));
-        assert!(matches!(got.receive(&answer, &[4], 2, 4), Err(ObserveError::Size { .. })));
-        let many = ObserveAnswer { changed: u32::MAX, count: u32::MAX, ..answer };
-        assert!(matches!(got.receive(&many, &[4], 2, 4), Err(ObserveError::Size { .. })));
+        assert_eq!(received(&[3, NONE, 0, 1, 0], &[2, 1]), Ok(vec![vec![3, NONE], vec![1]]));
+        assert_eq!(received(&[], &[]), Ok(Vec::new()));
+        assert!(matches!(received(&[4, NONE, 0], &[2]), Err(ObserveError::Index { index: 4, .. })));
+        assert!(matches!(received(&[3], &[2]), Err(ObserveError::Size { .. })));
+        assert!(matches!(received(&[3, 2], &[2]), Err(ObserveError::Size { .. })));
+        assert!(matches!(received(&[3, 2, u32::MAX], &[2]), Err(ObserveError::Size { .. })));
+        assert!(matches!(received(&[3, 0, 7], &[1]), Err(ObserveError::Size { .. })));
+    }
+
+    #[test]
+    fn an_answer_survives_the_journey() {
+        let record = vec![9; record_words(2)];
+        let parts = [
+            Observed { mentor: vec![1, 2], changed: record.clone(), cut_short: 0 },
+            Observed { mentor: vec![NONE], changed: Vec::new(), cut_short: 5 },
+        ];
+        let mut words = Vec::new();
+        parts.iter().for_each(|part| part.encode(2, &mut words));
+        let mut answers = Answers::default();
+        let header = ObserveAnswer { cut_short: 5, ..ObserveAnswer::default() };
+        assert_eq!(answers.receive(&header, &words, [2, 1].into_iter(), 2, 4), Ok(()));
+        assert_eq!(answers.parts(), parts);
+    }
+
+    #[test]
+    fn parts_are_taken_off_one_by_one() {
+        let payload = vec![7; batch::words(3, 2)];
+        let part = Part { actor: 5, count: 3, payload: &payload };
+        let words = [&part.header(), part.payload].concat();
+        let both = [&words[..], &words[..]].concat();
+        let mut rest = &both[..];
+        assert_eq!(Part::take(&mut rest, 2), Some(part));
+        assert_eq!(Part::take(&mut rest, 2), Some(part));
+        assert_eq!(Part::take(&mut rest, 2), None);
+        for faulty in [&words[..4], &[1, 0], &[1, MAX_ROLLOUT + 1], &[1]] {
+            let mut rest = faulty;
+            assert_eq!(Part::take(&mut rest, 2), None, "{faulty:?}");
+        }
     }
 }

@@ -1,5 +1,8 @@
-//! The learner's standing orders to the actors of a run in free mode: how many batches each may send, and what else is
+//! The learner's standing orders to the actors: how many batches each may send, with which weights, and what else is
 //! wanted of it. Only the newest orders count, so an actor that comes late, or was replaced, misses nothing.
+//!
+//! In free mode an actor may be a window of batches ahead. Lockstep is the same with a barrier: one batch of each actor,
+//! and no new orders before all of them have come.
 
 use crate::limits::{MAX_ACTORS, MAX_ROLLOUT};
 use crate::message::Message;
@@ -24,16 +27,25 @@ impl Message for Share {
 }
 
 /// Orders as they travel, the same to every actor; plain numbers only, so that no bit pattern is invalid.
+///
+/// An actor carries them out in this order: the evaluation, the snapshot, the batches.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Orders {
     /// Identity of the run.
     pub run: u64,
-    /// Environment steps that the learner has counted, over all actors: where the exploration schedule stands.
+    /// Number of the round that the granted batches are for, from 1; in lockstep that of the tick.
+    pub round: u64,
+    /// Environment steps of all actors before that round: where the exploration schedule stands.
     pub env_steps: u64,
+    /// The weights to act with: this version or a later one. It is published before the orders.
+    pub weights_version: u64,
     /// Number of the evaluation that actor 0 is to play, counted from 1; 0 for none. One that it has answered is not
     /// played again.
     pub evaluation: u64,
+    /// Number of the snapshot of itself that every actor is to send before its next batch, counted from 1; 0 for none.
+    /// One that it has sent is not sent again.
+    pub snapshot: u64,
     /// Greedy episodes of that evaluation.
     pub episodes: u32,
     /// 1: the run is over. An actor stays until it is told to leave: the learner could still die before its result is
@@ -48,8 +60,23 @@ pub struct Orders {
     pub shares: [Share; MAX_ACTORS as usize],
 }
 
+/// The work that orders grant an actor: one batch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Collect {
+    /// Identity of the run.
+    pub run: u64,
+    /// Number of the round.
+    pub round: u64,
+    /// Version of the weights to act with.
+    pub weights_version: u64,
+    /// Environment steps of all actors before the round.
+    pub env_steps: u64,
+    /// Steps to take, 1 to [`MAX_ROLLOUT`].
+    pub steps: u32,
+}
+
 impl Message for Orders {
-    const TYPE_NAME: &'static str = "trestle.Orders.v2";
+    const TYPE_NAME: &'static str = "trestle.Orders.v3";
 }
 
 impl Default for Orders {
@@ -95,6 +122,11 @@ impl Orders {
             return Err(OrdersError::Episodes { evaluation: self.evaluation, episodes: self.episodes });
         }
         Ok(())
+    }
+
+    /// A batch of `steps` steps under these orders, with the weights `weights_version`.
+    pub fn collect(&self, weights_version: u64, steps: u32) -> Collect {
+        Collect { run: self.run, round: self.round, weights_version, env_steps: self.env_steps, steps }
     }
 
     /// Batches that incarnation `incarnation` of `actor` may have sent in all.

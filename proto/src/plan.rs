@@ -2,7 +2,7 @@
 //! a child starts.
 
 use crate::codec::{self, CodecError, Kind};
-use crate::config::{Config, EncodingKind};
+use crate::config::{Config, EncodingKind, Mode};
 use crate::limits::TRANSITIONS_BUFFER;
 use crate::space::{EnvSpec, Success, least};
 use crate::waypoints::Waypoints;
@@ -86,8 +86,11 @@ impl RunPlan {
         u64::from(self.config.run.actors) * u64::from(self.config.run.rollout)
     }
 
-    /// Batches of an actor that may be on their way in free mode, 1 to 64.
+    /// Batches of an actor that may be on their way, 1 to 64: in lockstep one, the tick's.
     pub fn window(&self) -> u64 {
+        if self.config.run.mode != Mode::Free {
+            return 1;
+        }
         let ahead = match self.config.run.ahead {
             0 => 2 * self.steps_per_tick(),
             ahead => ahead,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub const EVALUATION: u32 = 1;
 /// The payload is the actor's state, to be handed back to it when the run is resumed.
 pub const ACTOR_STATE: u32 = 2;
-/// No payload: an actor in free mode has come. In the place of the tick's number stands its incarnation.
+/// No payload: an actor has come. In the place of the number stands its incarnation.
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
@@ -23,8 +23,8 @@ pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 2 };
 pub struct ReplyHeader {
     /// Identity of the run.
     pub run: u64,
-    /// Number of the tick that asked for it.
-    pub tick: u64,
+    /// What was asked for: the number of the evaluation or of the snapshot, as the orders have it.
+    pub number: u64,
     /// Index of the actor.
     pub actor: u32,
     /// One of the constants of this module.
@@ -32,7 +32,7 @@ pub struct ReplyHeader {
 }
 
 impl Message for ReplyHeader {
-    const TYPE_NAME: &'static str = "trestle.ReplyHeader.v1";
+    const TYPE_NAME: &'static str = "trestle.ReplyHeader.v2";
 }
 
 /// A reply in private memory.
@@ -60,7 +60,7 @@ pub struct EvaluationEpisode {
     pub path: Vec<f32>,
 }
 
-/// The greedy episodes of one evaluation, played with the weights that its tick named.
+/// The greedy episodes of one evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Number of the evaluation, from 0.

@@ -12,7 +12,7 @@ use bytemuck::{Pod, Zeroable, cast_slice};
 pub struct WeightsHeader {
     /// Identity of the run.
     pub run: u64,
-    /// The tick, in free mode the round, after which these weights stood; 0 for the initial ones.
+    /// The round after which these weights stood; 0 for the initial ones.
     pub version: u64,
     /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]).
     pub generation: u32,
@@ -58,14 +58,6 @@ pub enum WeightsError {
         found: u32,
         /// What was announced.
         expected: u32,
-    },
-    /// Not the version that the tick asks for.
-    #[error("weights version {found} is here; the tick asks for version {expected}")]
-    Version {
-        /// Newest version received.
-        found: u64,
-        /// Version asked for.
-        expected: u64,
     },
 }
 

@@ -11,7 +11,6 @@ use trestle_link::logging;
 use trestle_mentor_server::demo_file;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::space::Success;
-use trestle_proto::tick::{EVALUATE, Tick};
 
 /// The evaluation whose stream of resets the first episode draws from; the others count down from it. Those of training
 /// count up from 0, and `trestle eval` has the one above.
@@ -22,7 +21,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
     free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
     let plan = read_plan(&dir)?;
-    let (tick, path) = checkpoint::newest_complete(dir.root())?
+    let (_, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let weights = checkpoint::load_model(&path, &layout)?;
@@ -38,8 +37,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
     let (mut reached, mut repeated, mut total, mut steps) = (0_u32, 0_u32, 0.0, 0);
     for episode in 0..args.episodes {
         let evaluation = FIRST_EVALUATION - u64::from(episode);
-        let tick = Tick { run: plan.run, tick, evaluation, kind: EVALUATE, amount: 1, ..Tick::default() };
-        let played = worker.evaluate(&weights, &tick)?;
+        let played = worker.evaluate(&weights, evaluation, 1)?;
         let played = played.episodes.first().context("an evaluation without an episode")?;
         total += played.total_reward;
         steps += played.length;

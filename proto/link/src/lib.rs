@@ -17,11 +17,10 @@ use std::time::Duration;
 use trestle_proto::annotation::AnnotationError;
 use trestle_proto::batch::{Batch, BatchError};
 use trestle_proto::mentor::MentorTransitionsError;
-use trestle_proto::observe::{ObserveAnswer, ObserveError, ObserveRequest, Observed};
+use trestle_proto::observe::{Answers, ObserveAnswer, ObserveError, ObserveRequest, Part};
 use trestle_proto::orders::{Orders, OrdersError};
 use trestle_proto::query::{QueryAnswer, QueryRequest};
 use trestle_proto::reply::Reply;
-use trestle_proto::tick::{Tick, TickError};
 use trestle_proto::weights::WeightsError;
 
 /// A message that could not be sent, received or believed.
@@ -72,9 +71,6 @@ pub enum LinkError {
     /// See [`BatchError`].
     #[error(transparent)]
     Batch(#[from] BatchError),
-    /// See [`TickError`].
-    #[error(transparent)]
-    Tick(#[from] TickError),
     /// See [`OrdersError`].
     #[error(transparent)]
     Orders(#[from] OrdersError),
@@ -111,15 +107,11 @@ pub trait ActorLink {
     /// Announces this actor until the learner has answered; nothing is sent before. Once more after a learner has been
     /// replaced.
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
-    /// The next tick, if one comes within `timeout`.
-    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError>;
-    /// The newest published weights, checked; they must be `version`.
-    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError>;
-    /// The newest orders, if others than those before come within `timeout`; free mode only.
+    /// The newest orders, if others than those before come within `timeout`.
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
-    /// The newest published weights, checked, and their version; none if none of the learner's start `generation` have
-    /// come yet.
-    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError>;
+    /// The newest published weights, checked, and their version; none if none of the learner's start `generation`, of
+    /// version `at_least` or later, have come yet.
+    fn weights(&mut self, generation: u32, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.
@@ -129,39 +121,41 @@ pub trait ActorLink {
 /// What came from an actor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FromActor {
-    /// The batch of this actor, now in its place among the learner's batches.
-    Batch(u32),
-    /// An evaluation or a snapshot.
+    /// A batch, now in the place that was made for it.
+    Batch,
+    /// An evaluation, a snapshot, or the news that it has come.
     Reply(Reply),
 }
 
-/// The learner's side. In free mode a message to the actors may miss those that have just died: the next ones get the
-/// newest weights and orders when they come.
+/// The learner's side. In lockstep every message to the actors must reach all of them. In free mode it may miss those that
+/// have just died: the next ones get the newest weights and orders when they come.
 pub trait LearnerLink {
     /// Waits until every actor, and the mentor-server if the run has one, has announced itself; in free mode for the
     /// mentor-server alone, for as long as it takes: actors may come at any time.
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// Publishes weights; the actors see the newest only.
     fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError>;
-    /// Gives orders to the actors, who see the newest only; free mode only.
+    /// Gives orders to the actors, who see the newest only.
     fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError>;
-    /// Whether a new mentor-server waits to be let in.
+    /// Whether a new mentor-server waits to be let in; never in lockstep.
     fn mentor_waits(&self) -> bool;
     /// Waits, for as long as it takes, until a new mentor-server has announced itself; it knows nothing of the history. Until
     /// then requests for its history fail.
     fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
-    /// Sends a tick to every actor.
-    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError>;
-    /// The next message of any actor, if one comes within `timeout`. A batch is copied, checked and put at its
-    /// actor's position in `batches`.
-    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError>;
-    /// Hands history or annotations to the mentor-server and waits for its answer.
+    /// The next message of any actor, if one comes within `timeout`. A batch is copied into `batch` and checked; its
+    /// actor is one of the run's.
+    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError>;
+    /// Hands the parts of one round to the mentor-server's history and waits for its answer to each.
     fn observe(
         &mut self,
         request: &ObserveRequest,
-        payload: &[u32],
-        into: &mut Observed,
+        parts: &[Part<'_>],
+        into: &mut Answers,
     ) -> Result<(), LinkError>;
+    /// Tells the mentor-server what it is to know without an answer to it: history
+    /// ([`trestle_proto::observe::REBUILD`]) or annotations ([`trestle_proto::observe::RESTORE`]). Waits until it has
+    /// taken it.
+    fn teach(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), LinkError>;
     /// Asks the mentor-server a question; the answer's payload replaces `into`.
     fn query(
         &mut self,

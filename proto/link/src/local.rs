@@ -8,16 +8,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 use trestle_proto::batch::{Batch, BatchHeader};
-use trestle_proto::limits::{
-    OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
-};
-use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TRANSITIONS_BUFFER};
+use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{OK, QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::Reply;
-use trestle_proto::tick::Tick;
-use trestle_proto::weights::{WeightsError, WeightsHeader};
+use trestle_proto::weights::WeightsHeader;
 
 type Weights = Arc<Mutex<Option<(WeightsHeader, Vec<f32>)>>>;
 
@@ -45,7 +42,6 @@ pub struct LocalActor {
     weights: Weights,
     /// The weights received last.
     copy: Vec<f32>,
-    ticks: Receiver<Tick>,
     orders: Arc<Newest>,
     /// How many orders there had been when some were received last.
     received: u64,
@@ -61,7 +57,7 @@ pub struct LocalLearner {
     n_actions: usize,
     mentor_len: usize,
     weights: Weights,
-    ticks: Vec<SyncSender<Tick>>,
+    actors: usize,
     orders: Arc<Newest>,
     inbox: Receiver<ToLearner>,
     mentor: SyncSender<Request>,
@@ -80,15 +76,12 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
     let orders = Arc::<Newest>::default();
     let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
     let (to_mentor, requests) = sync_channel(1);
-    let (ticks, receivers): (Vec<_>, Vec<_>) = (0..actors).map(|_| sync_channel(TICKS_BUFFER)).unzip();
-    let actors = receivers
-        .into_iter()
-        .map(|ticks| LocalActor {
+    let ends = (0..actors)
+        .map(|_| LocalActor {
             run: plan.run,
             sizes: sizes.clone(),
             weights: weights.clone(),
             copy: Vec::new(),
-            ticks,
             orders: orders.clone(),
             received: 0,
             learner: to_learner.clone(),
@@ -102,12 +95,12 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         n_actions: plan.spec.n_actions(),
         mentor_len: plan.mentor_len(),
         weights,
-        ticks,
+        actors,
         orders,
         inbox,
         mentor: to_mentor,
     };
-    (learner, LocalMentor { requests }, actors)
+    (learner, LocalMentor { requests }, ends)
 }
 
 fn gone(what: &'static str) -> LinkError {
@@ -139,14 +132,6 @@ impl ActorLink for LocalActor {
         Ok(())
     }
 
-    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError> {
-        let tick = waited(self.ticks.recv_timeout(timeout), "waiting for a tick")?;
-        if let Some(tick) = &tick {
-            tick.validate(self.run)?;
-        }
-        Ok(tick)
-    }
-
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
         let newest = self.orders.orders.lock().unwrap_or_else(PoisonError::into_inner);
         let received = self.received;
@@ -160,17 +145,10 @@ impl ActorLink for LocalActor {
         Ok(Some(orders))
     }
 
-    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
-        let newest = self.update_weights()?.filter(|(of, _)| *of == generation);
+    fn weights(&mut self, generation: u32, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
+        let newest = self.update_weights()?;
+        let newest = newest.filter(|(of, version)| *of == generation && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &*self.copy)))
-    }
-
-    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
-        match self.update_weights()? {
-            Some((_, found)) if found == version => Ok(&self.copy),
-            Some((_, found)) => Err(WeightsError::Version { found, expected: version }.into()),
-            None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
-        }
     }
 
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
@@ -181,6 +159,23 @@ impl ActorLink for LocalActor {
 
     fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError> {
         self.learner.send(ToLearner::Reply(reply.clone())).map_err(|_| gone("a reply"))
+    }
+}
+
+impl LocalLearner {
+    fn ask_history(
+        &self,
+        request: &ObserveRequest,
+        words: Vec<u32>,
+    ) -> Result<(ObserveAnswer, Vec<u32>), LinkError> {
+        const WHAT: &str = "a batch for its history";
+        let (answer, answers) = sync_channel(1);
+        self.mentor.send(Request::Observe(*request, words, answer)).map_err(|_| gone(WHAT))?;
+        let (header, payload) = answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
+        if header.status != OK {
+            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
+        }
+        Ok((header, payload))
     }
 }
 
@@ -210,20 +205,16 @@ impl LearnerLink for LocalLearner {
         Err(gone("the mentor-server"))
     }
 
-    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
-        self.ticks.iter().try_for_each(|actor| actor.send(*tick).map_err(|_| gone("a tick")))
-    }
-
-    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError> {
         match waited(self.inbox.recv_timeout(timeout), "waiting for actors")? {
             None => Ok(None),
             Some(ToLearner::Reply(reply)) => Ok(Some(FromActor::Reply(reply))),
             Some(ToLearner::Batch(header, payload)) => {
-                let slot = batches
-                    .get_mut(header.actor as usize)
-                    .ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
-                slot.receive(header, &payload, self.obs_dim, self.n_actions)?;
-                Ok(Some(FromActor::Batch(header.actor)))
+                if header.actor as usize >= self.actors {
+                    return Err(LinkError::Unexpected(format!("batch {header:?}")));
+                }
+                batch.receive(header, &payload, self.obs_dim, self.n_actions)?;
+                Ok(Some(FromActor::Batch))
             }
         }
     }
@@ -231,17 +222,17 @@ impl LearnerLink for LocalLearner {
     fn observe(
         &mut self,
         request: &ObserveRequest,
-        payload: &[u32],
-        into: &mut Observed,
+        parts: &[Part<'_>],
+        into: &mut Answers,
     ) -> Result<(), LinkError> {
-        const WHAT: &str = "a batch for its history";
-        let (answer, answers) = sync_channel(1);
-        self.mentor.send(Request::Observe(*request, payload.to_vec(), answer)).map_err(|_| gone(WHAT))?;
-        let (header, payload) = answers.recv_timeout(OBSERVE_DEADLINE).map_err(|_| gone(WHAT))?;
-        if header.status != OK {
-            return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
-        }
-        Ok(into.receive(&header, &payload, self.obs_dim, self.mentor_len)?)
+        let words = parts.iter().flat_map(|part| [&part.header(), part.payload].concat()).collect();
+        let (header, payload) = self.ask_history(request, words)?;
+        let counts = parts.iter().map(|part| part.count as usize);
+        Ok(into.receive(&header, &payload, counts, self.obs_dim, self.mentor_len)?)
+    }
+
+    fn teach(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), LinkError> {
+        self.ask_history(request, payload.to_vec()).map(|_| ())
     }
 
     fn query(

@@ -1,4 +1,4 @@
-//! What every transport must do, run over each of them: handshake, weights before ticks, batches in their places,
+//! What every transport must do, run over each of them: handshake, weights before orders, batches,
 //! replies, the mentor-server's answers and refusals.
 #![allow(clippy::unwrap_used)]
 
@@ -16,12 +16,12 @@ use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Transition};
 use trestle_proto::config::{self, Config};
 use trestle_proto::limits::WAIT_SLICE;
-use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part};
+use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::query::{OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS};
 use trestle_proto::reply::{ACTOR_STATE, Reply, ReplyHeader};
 use trestle_proto::space::EnvSpec;
-use trestle_proto::tick::{COLLECT, SNAPSHOT, STOP, Tick};
 
 const LONG: Duration = Duration::from_secs(20);
 const ACTORS: u32 = 2;
@@ -60,67 +60,66 @@ fn weights(version: u64) -> Vec<f32> {
     (0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + version as f32 / 100.0).collect()
 }
 
-/// An actor that answers each tick with what tells it apart, until it is stopped.
+/// An actor that answers orders with what tells it apart, until it is stopped: with a snapshot that is asked for, or else
+/// with a batch.
 fn act(mut link: impl ActorLink, index: u32) {
     link.hello(&|| false).unwrap();
     let mut batch = Batch::with_capacity(4, 2);
     loop {
-        let Some(tick) = link.recv_tick(LONG).unwrap() else { continue };
-        match tick.kind {
-            COLLECT => {
-                let params = link.weights(tick.weights_version).unwrap().to_vec();
-                assert_eq!(params, weights(tick.weights_version));
-                let (run, actor, count) = (tick.run, index, tick.amount);
-                batch.prepare(BatchHeader {
-                    run,
-                    tick: tick.tick,
-                    actor,
-                    count,
-                    obs_dim: 2,
-                    ..Default::default()
-                });
-                for i in 0..count as usize {
-                    let obs = [index as f32, tick.tick as f32];
-                    let next = [i as f32, params[0]];
-                    let flags = if i == 0 { FIRST } else { 0 };
-                    batch.set(
-                        i,
-                        &Transition { obs: &obs, next_obs: &next, action: index, reward: 0.5, flags },
-                    );
-                }
-                link.send_batch(&batch).unwrap();
-            }
-            SNAPSHOT => {
-                let header = ReplyHeader { run: tick.run, tick: tick.tick, actor: index, kind: ACTOR_STATE };
-                link.send_reply(&Reply { header, payload: vec![index as u8; 70_000] }).unwrap();
-            }
-            _ => return,
+        let Some(orders) = link.recv_orders(LONG).unwrap() else { continue };
+        if orders.stop == 1 {
+            return;
         }
+        let (run, round) = (orders.run, orders.round);
+        if orders.snapshot > 0 {
+            let header = ReplyHeader { run, number: orders.snapshot, actor: index, kind: ACTOR_STATE };
+            link.send_reply(&Reply { header, payload: vec![index as u8; 70_000] }).unwrap();
+            continue;
+        }
+        assert!(link.weights(0, orders.weights_version + 1).unwrap().is_none());
+        assert!(link.weights(1, orders.weights_version).unwrap().is_none());
+        let (version, params) = link.weights(0, orders.weights_version).unwrap().unwrap();
+        assert_eq!((version, params), (orders.weights_version, &*weights(version)));
+        let first = params[0];
+        batch.prepare(BatchHeader { run, round, actor: index, count: 4, obs_dim: 2, ..Default::default() });
+        for i in 0..4 {
+            let obs = [index as f32, round as f32];
+            let next = [i as f32, first];
+            let flags = if i == 0 { FIRST } else { 0 };
+            batch.set(i, &Transition { obs: &obs, next_obs: &next, action: index, reward: 0.5, flags });
+        }
+        link.send_batch(&batch).unwrap();
     }
 }
 
-/// A mentor that names transition 1 for every observation and knows one annotation; refuses negative tick numbers.
+/// A mentor that names transition 1 for every observation of actor 0 and knows one annotation for each part; refuses what is far
+/// ahead.
 struct Canned;
 
 impl MentorHandler for Canned {
     fn forget(&mut self) {}
 
-    fn observe(&mut self, request: &ObserveRequest, payload: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
-        let mut batch = Batch::default();
-        let header = BatchHeader { count: request.count, obs_dim: request.obs_dim, ..Default::default() };
-        if request.first_index > 1000 || batch.receive(header, payload, 2, 3).is_err() {
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        mut payload: &[u32],
+        out: &mut Vec<u32>,
+    ) -> ObserveAnswer {
+        if request.first_index > 1000 {
             return ObserveAnswer { status: OUT_OF_RANGE, ..Default::default() };
         }
-        out.extend(batch.actions().iter().map(|&a| if a == 0 { 1 } else { NONE }));
-        let mut table = AnnotationTable::new(MENTOR, 2, 3);
-        table.set_estimate(2, &Estimate { action: 1, e_kl: 0.5, reward: -1.0 });
-        table.encode(2, out);
-        ObserveAnswer {
-            first_index: request.first_index,
-            count: request.count,
-            changed: 1,
-            ..Default::default()
+        let mut batch = Batch::default();
+        while let Some(part) = Part::take(&mut payload, request.obs_dim as usize) {
+            let header = BatchHeader { count: part.count, obs_dim: request.obs_dim, ..Default::default() };
+            batch.receive(header, part.payload, 2, 3).unwrap();
+            let mut table = AnnotationTable::new(MENTOR, 2, 3);
+            table.set_estimate(part.actor as usize, &Estimate { action: 1, e_kl: 0.5, reward: -1.0 });
+            let mut answer = Observed::default();
+            answer.mentor.extend(batch.actions().iter().map(|&a| if a == 0 { 1 } else { NONE }));
+            table.encode(part.actor as usize, &mut answer.changed);
+            answer.encode(2, out);
         }
+        ObserveAnswer { first_index: request.first_index, ..Default::default() }
     }
 
     fn query(&mut self, request: &QueryRequest, payload: &[f32], out: &mut Vec<u32>) -> QueryAnswer {
@@ -145,48 +144,48 @@ fn mentor(mut link: impl MentorLink, requests: usize, over: Receiver<()>) {
 fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     link.welcome(&|| false).unwrap();
     let mut batches = vec![Batch::with_capacity(4, 2); ACTORS as usize];
-    let mut observed = Observed::default();
-    for tick in 1..=200u64 {
-        link.send_weights(tick - 1, &weights(tick - 1)).unwrap();
-        let kind = COLLECT;
-        link.send_tick(&Tick {
-            run: plan.run,
-            tick,
-            weights_version: tick - 1,
-            kind,
-            amount: 4,
-            ..Tick::default()
-        })
-        .unwrap();
-        let mut seen = [false; ACTORS as usize];
-        while !seen.iter().all(|s| *s) {
-            match link.recv(&mut batches, LONG).unwrap().expect("a batch in time") {
-                FromActor::Batch(actor) => seen[actor as usize] = true,
+    let (mut spare, mut answers) = (Batch::default(), Answers::default());
+    let mut orders = Orders { run: plan.run, ..Orders::default() };
+    for round in 1..=200u64 {
+        (orders.round, orders.weights_version) = (round, round - 1);
+        link.send_weights(round - 1, &weights(round - 1)).unwrap();
+        orders.shares[..ACTORS as usize].fill(Share { granted: round, ..Share::default() });
+        link.send_orders(&orders).unwrap();
+        for _ in 0..ACTORS {
+            match link.recv(&mut spare, LONG).unwrap().expect("a batch in time") {
+                FromActor::Batch => {
+                    let actor = spare.header.actor as usize;
+                    std::mem::swap(&mut spare, &mut batches[actor]);
+                }
                 FromActor::Reply(reply) => panic!("{reply:?}"),
             }
         }
         for (actor, batch) in batches.iter().enumerate() {
-            assert_eq!((batch.header.tick, batch.header.actor, batch.len()), (tick, actor as u32, 4));
-            assert_eq!(batch.transition(3).next_obs, [3.0, weights(tick - 1)[0]]);
-            let request = ObserveRequest {
-                run: plan.run,
-                tick,
-                first_index: tick,
-                op: OBSERVE,
-                actor: actor as u32,
-                count: 4,
-                obs_dim: 2,
-            };
-            link.observe(&request, batch.payload(), &mut observed).unwrap();
-            assert_eq!(observed.mentor, [if actor == 0 { 1 } else { NONE }; 4]);
-            let mut table = AnnotationTable::new(MENTOR, 2, 3);
-            table.apply(&observed.changed).unwrap();
-            assert_eq!(table.estimate(2).unwrap().e_kl, 0.5);
-            // Refused by the mentor-server, not by the transport.
-            let far = ObserveRequest { first_index: 5000, ..request };
-            let refusal = link.observe(&far, batch.payload(), &mut observed);
-            assert!(matches!(refusal, Err(LinkError::Refused { .. })), "{refusal:?}");
+            assert_eq!((batch.header.round, batch.header.actor, batch.len()), (round, actor as u32, 4));
+            assert_eq!(batch.transition(3).next_obs, [3.0, weights(round - 1)[0]]);
         }
+        let request = ObserveRequest {
+            run: plan.run,
+            round,
+            first_index: round,
+            op: OBSERVE,
+            count: ACTORS,
+            obs_dim: 2,
+            reserved: 0,
+        };
+        let parts: Vec<Part<'_>> = batches.iter().map(Part::of).collect();
+        link.observe(&request, &parts, &mut answers).unwrap();
+        for (actor, answer) in answers.parts().iter().enumerate() {
+            assert_eq!(answer.mentor, [if actor == 0 { 1 } else { NONE }; 4]);
+            let mut table = AnnotationTable::new(MENTOR, 2, 3);
+            table.apply(&answer.changed).unwrap();
+            assert_eq!(table.estimate(actor).unwrap().e_kl, 0.5);
+            assert_eq!(table.estimate(1 - actor), None);
+        }
+        // Refused by the mentor-server, not by the transport.
+        let far = ObserveRequest { first_index: 5000, ..request };
+        let refusal = link.observe(&far, &parts, &mut answers);
+        assert!(matches!(refusal, Err(LinkError::Refused { .. })), "{refusal:?}");
     }
     let mut words = Vec::new();
     let similar = QueryRequest { run: plan.run, op: SIMILAR, count: 2, obs_dim: 2, ..Default::default() };
@@ -195,23 +194,24 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     let refusal = link.query(&QueryRequest { op: STATS, ..similar }, &[], &mut words);
     assert!(matches!(refusal, Err(LinkError::Refused { .. })), "{refusal:?}");
 
-    let snapshot = Tick { run: plan.run, tick: 200, kind: SNAPSHOT, ..Tick::default() };
-    link.send_tick(&snapshot).unwrap();
+    orders.snapshot = 1;
+    link.send_orders(&orders).unwrap();
     let mut replies = Vec::new();
     while replies.len() < ACTORS as usize {
-        match link.recv(&mut batches, LONG).unwrap().expect("a reply in time") {
+        match link.recv(&mut spare, LONG).unwrap().expect("a reply in time") {
             FromActor::Reply(reply) => replies.push((reply.header.actor, reply.payload)),
-            FromActor::Batch(actor) => panic!("batch of {actor}"),
+            FromActor::Batch => panic!("a batch of {}", spare.header.actor),
         }
     }
     replies.sort();
     assert_eq!(replies, [(0, vec![0; 70_000]), (1, vec![1; 70_000])]);
-    assert!(link.recv(&mut batches, Duration::from_millis(1)).unwrap().is_none());
-    link.send_tick(&Tick { kind: STOP, ..snapshot }).unwrap();
+    assert!(link.recv(&mut spare, Duration::from_millis(1)).unwrap().is_none());
+    orders.stop = 1;
+    link.send_orders(&orders).unwrap();
 }
 
 /// Requests that `learn` makes of the mentor-server.
-const REQUESTS: usize = 200 * ACTORS as usize * 2 + 2;
+const REQUESTS: usize = 200 * 2 + 2;
 
 #[test]
 fn channels() {

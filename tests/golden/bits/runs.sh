@@ -79,12 +79,12 @@ all() {
     run hard-target "${small[@]}" --algo dqn --seed 12 --set learner.target=hard --set learner.loss=squared \
         --set learner.double=false --set learner.max_grad_norm=1.0
     run random-map "${small[@]}" --algo ha-diiqn --seed 13 --set env.map=random:5:10x10
-    local point=(point-umaze --env-steps 8000 --set env.point_maze.backend=builtin)
+    local point=(point-umaze --env-steps 8000 --set env.backend=builtin)
     run point-dqn "${point[@]}" --algo dqn --seed 1
     run point-ha-diiqn "${point[@]}" --algo ha-diiqn --seed 2 --actors 3
     run point-delta "${point[@]}" --algo ha-diiqn --seed 3 --set mentor.metric=delta
     run point-guided-random "${point[@]}" --algo ha-diiqn --seed 4 --set exploration.guide_start=0.5 \
-        --set env.point_maze.reset=random
+        --set env.reset=random
     killed
 }
 

@@ -17,7 +17,6 @@ use trestle_proto::limits::{HANDSHAKE, HELLO_INTERVAL};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Reply, ReplyHeader};
-use trestle_proto::tick::Tick;
 use trestle_proto::weights::WeightsHeader;
 
 /// Room made in advance for a reply, bytes; a larger one makes the memory grow.
@@ -28,12 +27,10 @@ const REPLY_BYTES: usize = 4096;
 pub struct IceoryxActor {
     index: usize,
     weights: Subscriber<Ipc, [f32], Wire<WeightsHeader>>,
-    /// Generation and version of the newest weights received, and they themselves, kept because a tick may name them again.
+    /// Generation and version of the newest weights received, and they themselves, kept because they may be acted with again.
     newest: Option<(u32, u64)>,
     copy: Vec<f32>,
-    ticks: Subscriber<Ipc, Wire<Tick>, ()>,
-    /// In free mode.
-    orders: Option<Subscriber<Ipc, Wire<Orders>, ()>>,
+    orders: Subscriber<Ipc, Wire<Orders>, ()>,
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
     replies: Publisher<Ipc, [u8], Wire<ReplyHeader>>,
     listener: Listener<Ipc>,
@@ -73,16 +70,10 @@ impl IceoryxActor {
                 .map_err(failed("creating the subscriber of weights"))?,
             newest: None,
             copy: vec![0.0; services.sizes.weights],
-            ticks: services
-                .ticks
-                .subscriber_builder()
-                .create()
-                .map_err(failed("creating the subscriber of ticks"))?,
             orders: services
                 .orders
-                .as_ref()
-                .map(|orders| orders.subscriber_builder().create())
-                .transpose()
+                .subscriber_builder()
+                .create()
                 .map_err(failed("creating the subscriber of orders"))?,
             transitions,
             replies,
@@ -92,20 +83,8 @@ impl IceoryxActor {
         })
     }
 
-    fn try_tick(&self) -> Result<Option<Tick>, LinkError> {
-        let Some(sample) = self.ticks.receive().map_err(failed("receiving a tick"))? else {
-            return Ok(None);
-        };
-        let tick = sample.payload().0;
-        tick.validate(self.services.run)?;
-        Ok(Some(tick))
-    }
-
     fn try_orders(&self) -> Result<Option<Orders>, LinkError> {
-        let Some(subscriber) = &self.orders else {
-            return Err(LinkError::Unexpected("waiting for orders in lockstep".into()));
-        };
-        let Some(sample) = subscriber.receive().map_err(failed("receiving orders"))? else {
+        let Some(sample) = self.orders.receive().map_err(failed("receiving orders"))? else {
             return Ok(None);
         };
         let orders = sample.payload().0;
@@ -140,7 +119,7 @@ impl ActorLink for IceoryxActor {
                 return Err(LinkError::Interrupted("the learner"));
             }
             // In free mode the learner may be busy for long.
-            if self.orders.is_none() && start.elapsed() > HANDSHAKE {
+            if !self.services.sizes.replaces && start.elapsed() > HANDSHAKE {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
@@ -153,17 +132,10 @@ impl ActorLink for IceoryxActor {
             wake::sleep(&self.listener, HELLO_INTERVAL, |event| welcome |= event == mine)?;
         }
         self.weights.update_connections().map_err(failed("mapping the weights"))?;
-        self.ticks.update_connections().map_err(failed("mapping the ticks"))?;
-        if let Some(orders) = &self.orders {
-            orders.update_connections().map_err(failed("mapping the orders"))?;
-        }
+        self.orders.update_connections().map_err(failed("mapping the orders"))?;
         self.transitions.update_connections().map_err(failed("mapping the learner"))?;
         self.replies.update_connections().map_err(failed("mapping the learner"))?;
         wake::notify(&self.learner, wake::READY + self.index)
-    }
-
-    fn recv_tick(&mut self, timeout: Duration) -> Result<Option<Tick>, LinkError> {
-        wake::wait(&self.listener, timeout, || self.try_tick())
     }
 
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
@@ -172,21 +144,10 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_orders())
     }
 
-    fn newest_weights(&mut self, generation: u32) -> Result<Option<(u64, &[f32])>, LinkError> {
+    fn weights(&mut self, generation: u32, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
         self.update_weights()?;
-        let newest = self.newest.filter(|(of, _)| *of == generation);
+        let newest = self.newest.filter(|(of, version)| *of == generation && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &*self.copy)))
-    }
-
-    fn weights(&mut self, version: u64) -> Result<&[f32], LinkError> {
-        self.update_weights()?;
-        match self.newest {
-            Some((_, found)) if found == version => Ok(&self.copy),
-            Some((_, found)) => {
-                Err(trestle_proto::weights::WeightsError::Version { found, expected: version }.into())
-            }
-            None => Err(LinkError::Unexpected(format!("a tick for weights {version}, but no weights"))),
-        }
     }
 
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {

@@ -5,7 +5,6 @@ use super::services::{MENTOR_PEER, Services};
 use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
 use crate::pulse;
 use crate::{FromActor, LearnerLink, LinkError, Stop};
-use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -15,12 +14,11 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use std::time::{Duration, Instant};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
-use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed};
+use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::{Reply, ReplyHeader};
-use trestle_proto::tick::Tick;
 use trestle_proto::weights::WeightsHeader;
 
 /// The learner over shared memory.
@@ -29,9 +27,7 @@ pub struct IceoryxLearner {
     transitions: Subscriber<Ipc, [u32], Wire<BatchHeader>>,
     replies: Subscriber<Ipc, [u8], Wire<ReplyHeader>>,
     weights: Publisher<Ipc, [f32], Wire<WeightsHeader>>,
-    ticks: Publisher<Ipc, Wire<Tick>, ()>,
-    /// In free mode.
-    orders: Option<Publisher<Ipc, Wire<Orders>, ()>>,
+    orders: Publisher<Ipc, Wire<Orders>, ()>,
     observe: Client<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
     query: query::Port,
     listener: Listener<Ipc>,
@@ -54,18 +50,12 @@ impl IceoryxLearner {
             .max_loaned_samples(1)
             .create()
             .map_err(failed("creating the publisher of weights"))?;
-        let ticks = services
-            .ticks
+        let orders = services
+            .orders
             .publisher_builder()
             .max_loaned_samples(1)
-            // An actor never has as many ticks before it as its buffer holds. Whoever else listens and does not read must keep
-            // nobody waiting.
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(failed("creating the publisher of ticks"))?;
-        let orders =
-            services.orders.as_ref().map(|orders| orders.publisher_builder().max_loaned_samples(1).create());
-        let orders = orders.transpose().map_err(failed("creating the publisher of orders"))?;
+            .map_err(failed("creating the publisher of orders"))?;
         let observe = services
             .observe
             .client_builder()
@@ -85,7 +75,6 @@ impl IceoryxLearner {
                 .create()
                 .map_err(failed("creating the subscriber of replies"))?,
             weights,
-            ticks,
             orders,
             observe,
             query: query::port(&services)?,
@@ -105,10 +94,7 @@ impl IceoryxLearner {
         self.transitions.update_connections().map_err(failed("mapping an actor"))?;
         self.replies.update_connections().map_err(failed("mapping an actor"))?;
         self.weights.update_connections().map_err(failed("mapping an actor"))?;
-        if let Some(orders) = &self.orders {
-            orders.update_connections().map_err(failed("mapping an actor"))?;
-        }
-        self.ticks.update_connections().map_err(failed("mapping an actor"))
+        self.orders.update_connections().map_err(failed("mapping an actor"))
     }
 
     /// Waits until each of `missing` has announced itself, `patience` at the most, and maps all peers. In free mode it calls
@@ -120,7 +106,7 @@ impl IceoryxLearner {
         stop: Stop<'_>,
     ) -> Result<(), LinkError> {
         let start = Instant::now();
-        let mut calling = self.orders.is_some();
+        let mut calling = self.services.sizes.replaces;
         while !missing.is_empty() {
             if stop() {
                 return Err(LinkError::Interrupted("actors and mentor-server"));
@@ -157,6 +143,13 @@ impl IceoryxLearner {
         self.connect()
     }
 
+    /// Whether `found` receivers are enough for a message to all actors: in lockstep, where nobody is replaced, all of them
+    /// must have it.
+    fn reached(&self, what: &'static str, found: usize) -> Result<(), LinkError> {
+        let sizes = &self.services.sizes;
+        if sizes.replaces { Ok(()) } else { delivered(what, found, sizes.actors) }
+    }
+
     fn answer_hello(&mut self, peer: usize) -> Result<(), LinkError> {
         self.connect()?;
         let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
@@ -174,7 +167,7 @@ impl IceoryxLearner {
         })?;
         for peer in hello {
             if peer == MENTOR_PEER {
-                self.mentor_waits = self.orders.is_some();
+                self.mentor_waits = self.services.sizes.replaces;
             } else {
                 self.answer_hello(peer)?;
             }
@@ -202,11 +195,12 @@ impl IceoryxLearner {
         }
     }
 
-    fn try_recv(&self, batches: &mut [Batch]) -> Result<Option<FromActor>, LinkError> {
-        // Replies first: an actor answers an evaluation before it sends the batch of the tick after.
+    fn try_recv(&self, batch: &mut Batch) -> Result<Option<FromActor>, LinkError> {
+        let Services { run, sizes, .. } = &self.services;
+        // Replies first: an actor answers an evaluation before it sends the next batch.
         if let Some(sample) = self.replies.receive().map_err(failed("receiving a reply"))? {
             let header = sample.user_header().0;
-            let known = header.run == self.services.run && (header.actor as usize) < batches.len();
+            let known = header.run == *run && (header.actor as usize) < sizes.actors;
             if !known || sample.payload().len() > MAX_REPLY_BYTES {
                 return Err(LinkError::Unexpected(format!("reply {header:?}")));
             }
@@ -216,82 +210,30 @@ impl IceoryxLearner {
             return Ok(None);
         };
         let header = sample.user_header().0;
-        let slot = batches.get_mut(header.actor as usize).filter(|_| header.run == self.services.run);
-        let slot = slot.ok_or_else(|| LinkError::Unexpected(format!("batch {header:?}")))?;
-        let sizes = &self.services.sizes;
-        slot.receive(header, sample.payload(), sizes.obs_dim, sizes.n_actions)?;
-        Ok(Some(FromActor::Batch(header.actor)))
-    }
-}
-
-impl LearnerLink for IceoryxLearner {
-    fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
-        let mut missing: Vec<usize> = Vec::new();
-        if self.services.sizes.mentor_len > 0 {
-            missing.push(MENTOR_PEER);
+        if header.run != *run || header.actor as usize >= sizes.actors {
+            return Err(LinkError::Unexpected(format!("batch {header:?}")));
         }
-        if self.orders.is_some() {
-            return self.let_in(missing, Duration::MAX, stop);
-        }
-        missing.extend(0..self.services.sizes.actors);
-        self.let_in(missing, HANDSHAKE, stop)
+        batch.receive(header, sample.payload(), sizes.obs_dim, sizes.n_actions)?;
+        Ok(Some(FromActor::Batch))
     }
 
-    fn mentor_waits(&self) -> bool {
-        self.mentor_waits
-    }
-
-    fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
-        self.let_in(vec![MENTOR_PEER], Duration::MAX, stop)
-    }
-
-    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
-        let publisher =
-            self.orders.as_ref().ok_or_else(|| LinkError::Unexpected("orders in lockstep".into()))?;
-        publisher.send_copy(Wire(*orders)).map_err(failed("sending orders"))?;
-        wake::notify(&self.actors, wake::DATA)
-    }
-
-    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
-        let mut sample = self
-            .weights
-            .loan_slice_uninit(weights.len())
-            .map_err(failed("loaning memory for weights"))?
-            .write_from_slice(weights);
-        let sizes = &self.services.sizes;
-        sample.user_header_mut().0 =
-            WeightsHeader::new(self.services.run, self.generation, version, &sizes.network, weights);
-        let found = sample.send().map_err(failed("sending weights"))?;
-        if self.orders.is_some() { Ok(()) } else { delivered("a set of weights", found, sizes.actors) }
-    }
-
-    fn send_tick(&mut self, tick: &Tick) -> Result<(), LinkError> {
-        let found = self.ticks.send_copy(Wire(*tick)).map_err(failed("sending a tick"))?;
-        delivered("a tick", found, self.services.sizes.actors)?;
-        wake::notify(&self.actors, wake::DATA)
-    }
-
-    fn recv(&mut self, batches: &mut [Batch], timeout: Duration) -> Result<Option<FromActor>, LinkError> {
-        self.wait(timeout, |link| link.try_recv(batches))
-    }
-
-    fn observe(
+    /// Sends a request of `words` words, which `fill` writes, to `mentor/observe`, waits for the answer, and hands its
+    /// header and payload to `take`.
+    fn ask_history<T>(
         &mut self,
         request: &ObserveRequest,
-        payload: &[u32],
-        into: &mut Observed,
-    ) -> Result<(), LinkError> {
+        words: usize,
+        fill: impl FnOnce(&mut [u32]),
+        take: impl FnOnce(&ObserveAnswer, &[u32], &Services) -> Result<T, LinkError>,
+    ) -> Result<T, LinkError> {
         const WHAT: &str = "a batch for its history";
         const REQUEST: &str = "a request to mentor/observe";
         const LOST: LinkError = LinkError::Receivers { what: REQUEST, found: 0, expected: 1 };
         if self.mentor_waits {
             return Err(LOST);
         }
-        let mut sending = self
-            .observe
-            .loan_slice_uninit(payload.len())
-            .map_err(failed("loaning memory for a request"))?
-            .write_from_slice(payload);
+        let mut sending = self.observe.loan_slice(words).map_err(failed("loaning memory for a request"))?;
+        fill(sending.payload_mut());
         sending.user_header_mut().0 = *request;
         let pending = sending.send().map_err(failed("sending a request to mentor/observe"))?;
         delivered(REQUEST, pending.number_of_server_connections(), 1)?;
@@ -308,7 +250,7 @@ impl LearnerLink for IceoryxLearner {
                 break answer;
             }
             // In free mode it is the supervisor that notices when it hangs, and replaces it.
-            if self.orders.is_none() && start.elapsed() > OBSERVE_DEADLINE {
+            if !self.services.sizes.replaces && start.elapsed() > OBSERVE_DEADLINE {
                 return Err(LinkError::Deadline {
                     peer: "mentor-server".into(),
                     what: WHAT,
@@ -321,8 +263,79 @@ impl LearnerLink for IceoryxLearner {
         if header.status != trestle_proto::query::OK {
             return Err(LinkError::Refused { what: WHAT, reason: status_text(header.status) });
         }
+        take(&header, answer.payload(), &self.services)
+    }
+}
+
+impl LearnerLink for IceoryxLearner {
+    fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        let mut missing: Vec<usize> = Vec::new();
+        if self.services.sizes.mentor_len > 0 {
+            missing.push(MENTOR_PEER);
+        }
+        if self.services.sizes.replaces {
+            return self.let_in(missing, Duration::MAX, stop);
+        }
+        missing.extend(0..self.services.sizes.actors);
+        self.let_in(missing, HANDSHAKE, stop)
+    }
+
+    fn mentor_waits(&self) -> bool {
+        self.mentor_waits
+    }
+
+    fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
+        self.let_in(vec![MENTOR_PEER], Duration::MAX, stop)
+    }
+
+    fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
+        let found = self.orders.send_copy(Wire(*orders)).map_err(failed("sending orders"))?;
+        self.reached("orders", found)?;
+        wake::notify(&self.actors, wake::DATA)
+    }
+
+    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
+        let mut sample = self
+            .weights
+            .loan_slice_uninit(weights.len())
+            .map_err(failed("loaning memory for weights"))?
+            .write_from_slice(weights);
         let sizes = &self.services.sizes;
-        Ok(into.receive(&header, answer.payload(), sizes.obs_dim, sizes.mentor_len)?)
+        sample.user_header_mut().0 =
+            WeightsHeader::new(self.services.run, self.generation, version, &sizes.network, weights);
+        let found = sample.send().map_err(failed("sending weights"))?;
+        self.reached("a set of weights", found)
+    }
+
+    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+        self.wait(timeout, |link| link.try_recv(batch))
+    }
+
+    fn observe(
+        &mut self,
+        request: &ObserveRequest,
+        parts: &[Part<'_>],
+        into: &mut Answers,
+    ) -> Result<(), LinkError> {
+        let words = parts.iter().map(Part::words).sum();
+        let fill = |mut room: &mut [u32]| {
+            for part in parts {
+                let (header, rest) = room.split_at_mut(part.header().len());
+                header.copy_from_slice(&part.header());
+                let (payload, rest) = rest.split_at_mut(part.payload.len());
+                payload.copy_from_slice(part.payload);
+                room = rest;
+            }
+        };
+        self.ask_history(request, words, fill, |answer, payload, Services { sizes, .. }| {
+            let counts = parts.iter().map(|part| part.count as usize);
+            Ok(into.receive(answer, payload, counts, sizes.obs_dim, sizes.mentor_len)?)
+        })
+    }
+
+    fn teach(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), LinkError> {
+        let fill = |room: &mut [u32]| room.copy_from_slice(payload);
+        self.ask_history(request, payload.len(), fill, |_, _, _| Ok(()))
     }
 
     fn query(

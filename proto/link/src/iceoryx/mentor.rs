@@ -74,7 +74,7 @@ impl IceoryxMentor {
             called |= event == wake::ROLL_CALL;
         })?;
         // In lockstep nobody calls.
-        if self.welcome && called && self.services.orders.is_some() {
+        if self.welcome && called && self.services.sizes.replaces {
             self.welcome = false;
             handler.forget();
             tracing::info!("another learner has come");
@@ -108,7 +108,7 @@ impl IceoryxMentor {
             sending.user_header_mut().0 = answer;
             match sending.send() {
                 // The learner is gone, and another will come.
-                Err(e) if self.services.orders.is_some() => {
+                Err(e) if self.services.sizes.replaces => {
                     tracing::warn!("an answer on mentor/observe was not delivered: {e}");
                 }
                 sent => sent.map_err(failed("answering on mentor/observe"))?,
@@ -151,7 +151,7 @@ impl MentorLink for IceoryxMentor {
                 return Err(LinkError::Interrupted("the learner"));
             }
             // In free mode the learner may be busy for long.
-            if self.services.orders.is_none() && start.elapsed() > HANDSHAKE {
+            if !self.services.sizes.replaces && start.elapsed() > HANDSHAKE {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
@@ -169,7 +169,7 @@ impl MentorLink for IceoryxMentor {
 
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
         let start = Instant::now();
-        if self.services.orders.is_some() {
+        if self.services.sizes.replaces {
             // Whoever is always busy must hear another learner's call, too.
             self.sleep(Duration::ZERO, handler)?;
         }

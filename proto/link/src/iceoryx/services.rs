@@ -9,15 +9,14 @@ use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, BatchHeader};
 use trestle_proto::config::Mode;
 use trestle_proto::limits::{
-    MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TICKS_BUFFER, TRANSITIONS_BUFFER,
+    MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TRANSITIONS_BUFFER,
 };
 use trestle_proto::mentor::transition_words;
-use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest, PART_WORDS};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest};
 use trestle_proto::reply::ReplyHeader;
-use trestle_proto::tick::Tick;
 use trestle_proto::weights::WeightsHeader;
 
 /// The mentor-server's number among the peers that say hello; the actors have those below.
@@ -45,8 +44,10 @@ pub struct Sizes {
     pub weights: usize,
     /// Transitions of the demonstration; 0 without a mentor.
     pub mentor_len: usize,
-    /// In free mode, batches of an actor that may be on their way.
-    pub window: Option<usize>,
+    /// Batches of an actor that may be on their way.
+    pub window: usize,
+    /// Whether a process that dies is replaced while the others go on: in free mode.
+    pub replaces: bool,
 }
 
 impl Sizes {
@@ -62,26 +63,28 @@ impl Sizes {
             batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
             weights,
             mentor_len: plan.mentor_len(),
-            window: (plan.config.run.mode == Mode::Free).then(|| plan.window() as usize),
+            window: plan.window() as usize,
+            replaces: plan.config.run.mode == Mode::Free,
         }
     }
 
     /// Batches of an actor that may wait for the learner.
     pub fn transitions_buffer(&self) -> usize {
-        if let Some(window) = self.window {
-            return window;
+        if self.replaces {
+            return self.window;
         }
         (TRANSITIONS_BYTES / (4 * self.batch_words)).clamp(2, TRANSITIONS_BUFFER)
     }
 
     /// Words of the largest request to `mentor/observe`.
     pub fn observe_request_words(&self) -> usize {
-        self.batch_words.max(self.annotation_rows() * record_words(self.obs_dim))
+        (self.actors * (self.batch_words + PART_WORDS))
+            .max(self.annotation_rows() * record_words(self.obs_dim))
     }
 
     /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
     pub fn observe_answer_words(&self) -> usize {
-        self.batch_words + self.annotation_rows() * record_words(self.obs_dim)
+        self.actors * (self.batch_words + 1) + self.annotation_rows() * record_words(self.obs_dim)
     }
 
     /// Words of the largest answer of `mentor/query`.
@@ -121,7 +124,6 @@ impl Sizes {
 
 pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], Wire<BatchHeader>>;
 pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], Wire<WeightsHeader>>;
-pub(super) type Ticks = publish_subscribe::PortFactory<Ipc, Wire<Tick>, ()>;
 pub(super) type OrdersOf = publish_subscribe::PortFactory<Ipc, Wire<Orders>, ()>;
 pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], Wire<ReplyHeader>>;
 pub(super) type Observe =
@@ -137,9 +139,7 @@ pub struct Services {
     pub(super) run: u64,
     pub(super) transitions: Transitions,
     pub(super) weights: Weights,
-    pub(super) ticks: Ticks,
-    /// In free mode.
-    pub(super) orders: Option<OrdersOf>,
+    pub(super) orders: OrdersOf,
     pub(super) replies: Replies,
     pub(super) observe: Observe,
     pub(super) query: Query,
@@ -245,37 +245,19 @@ impl Services {
             create,
             "weights"
         )?;
-        let ticks = finish!(
-            node.service_builder(&name("ticks")?)
-                .publish_subscribe::<Wire<Tick>>()
+        let orders = finish!(
+            node.service_builder(&name("orders")?)
+                .publish_subscribe::<Wire<Orders>>()
                 .max_publishers(1)
                 .max_subscribers(sizes.actors * 2)
                 .max_nodes(nodes)
-                .subscriber_max_buffer_size(TICKS_BUFFER)
+                .subscriber_max_buffer_size(1)
                 .subscriber_max_borrowed_samples(1)
-                // No history: an old tick is no work for an actor that comes late.
-                .history_size(0)
-                .enable_safe_overflow(false),
+                .history_size(1)
+                .enable_safe_overflow(true),
             create,
-            "ticks"
+            "orders"
         )?;
-        let orders = if sizes.window.is_some() {
-            Some(finish!(
-                node.service_builder(&name("orders")?)
-                    .publish_subscribe::<Wire<Orders>>()
-                    .max_publishers(1)
-                    .max_subscribers(sizes.actors * 2)
-                    .max_nodes(nodes)
-                    .subscriber_max_buffer_size(1)
-                    .subscriber_max_borrowed_samples(1)
-                    .history_size(1)
-                    .enable_safe_overflow(true),
-                create,
-                "orders"
-            )?)
-        } else {
-            None
-        };
         let replies = finish!(
             node.service_builder(&name("replies")?)
                 .publish_subscribe::<[u8]>()
@@ -345,7 +327,6 @@ impl Services {
             run: plan.run,
             transitions,
             weights,
-            ticks,
             orders,
             replies,
             observe,

@@ -21,13 +21,13 @@ unsafe impl<T: Message> ZeroCopySend for Wire<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trestle_proto::tick::Tick;
+    use trestle_proto::orders::Orders;
 
     #[test]
     fn a_message_lies_in_shared_memory_as_it_is() {
-        assert_eq!(size_of::<Wire<Tick>>(), size_of::<Tick>());
-        assert_eq!(align_of::<Wire<Tick>>(), align_of::<Tick>());
+        assert_eq!(size_of::<Wire<Orders>>(), size_of::<Orders>());
+        assert_eq!(align_of::<Wire<Orders>>(), align_of::<Orders>());
         // SAFETY: the name is only read.
-        assert_eq!(unsafe { <Wire<Tick> as ZeroCopySend>::type_name() }, "trestle.Tick.v1");
+        assert_eq!(unsafe { <Wire<Orders> as ZeroCopySend>::type_name() }, "trestle.Orders.v3");
     }
 }
