@@ -96,7 +96,7 @@ impl IceoryxActor {
     fn update_weights(&mut self) -> Result<(), LinkError> {
         while let Some(sample) = self.weights.receive().map_err(failed("receiving weights"))? {
             let header = sample.user_header().0;
-            // What a learner published before it died may come after its successor's.
+            // Weights that a learner published before it died may come after its successor's.
             if self.newest.is_some_and(|(generation, _)| generation > header.generation) {
                 continue;
             }
@@ -111,7 +111,7 @@ impl IceoryxActor {
 impl ActorLink for IceoryxActor {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
         let start = Instant::now();
-        // A welcome of before is not meant.
+        // A welcome from before does not count.
         wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
         let mut welcome = false;
         while !welcome {
@@ -175,7 +175,7 @@ impl ActorLink for IceoryxActor {
     }
 }
 
-/// A message to the learner has one receiver: less means that it is gone.
+/// A message to the learner has one receiver; with none the learner is gone.
 fn delivered(what: &'static str, found: usize) -> Result<(), LinkError> {
     if found == 1 { Ok(()) } else { Err(LinkError::Receivers { what, found, expected: 1 }) }
 }

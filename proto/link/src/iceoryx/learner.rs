@@ -87,7 +87,7 @@ impl IceoryxLearner {
         })
     }
 
-    /// Maps who has come, and lets go of who has gone: what is mapped of a dead process stays in shared memory.
+    /// Maps the processes that have come and unmaps those that have gone: mapped memory of a dead process stays in use.
     fn connect(&mut self) -> Result<(), LinkError> {
         self.observe.update_connections().map_err(failed("mapping the mentor-server"))?;
         self.query.update_connections().map_err(failed("mapping the mentor-server"))?;
@@ -143,8 +143,8 @@ impl IceoryxLearner {
         self.connect()
     }
 
-    /// Whether `found` receivers are enough for a message to all actors: in lockstep, where nobody is replaced, all of them
-    /// must have it.
+    /// Whether `found` receivers are enough for a message to all actors. In lockstep, where no process is replaced, all of
+    /// them must have it.
     fn reached(&self, what: &'static str, found: usize) -> Result<(), LinkError> {
         let sizes = &self.services.sizes;
         if sizes.replaces { Ok(()) } else { delivered(what, found, sizes.actors) }
@@ -187,7 +187,7 @@ impl IceoryxLearner {
                 return Ok(Some(found));
             }
             let left = timeout.saturating_sub(start.elapsed());
-            // Also without time to wait: whoever is always busy must take notifications, too.
+            // Also without time to wait: a learner that is always busy must take notifications, too.
             self.sleep(left.min(WAIT_SLICE))?;
             if left.is_zero() {
                 return poll(self);
@@ -348,7 +348,7 @@ impl LearnerLink for IceoryxLearner {
     }
 }
 
-/// Fewer receivers than processes means that one of them is gone. Who listens besides is no business of the run's.
+/// Fewer receivers than processes means that one of them is gone. Further listeners do not concern the run.
 fn delivered(what: &'static str, found: usize, expected: usize) -> Result<(), LinkError> {
     if found >= expected { Ok(()) } else { Err(LinkError::Receivers { what, found, expected }) }
 }

@@ -24,7 +24,7 @@ pub struct IceoryxMentor {
     clients: Notifier<Ipc>,
     /// Whether the learner has let this process in.
     welcome: bool,
-    /// Private copies of a request's payload (a peer could still write to what it has sent) and of an answer's.
+    /// Private copies of a request's payload (a peer could still write to its message) and of an answer's payload.
     words: Vec<u32>,
     state: Vec<f32>,
     answer: Vec<u32>,
@@ -73,7 +73,7 @@ impl IceoryxMentor {
             welcome |= event == wake::WELCOME + MENTOR_PEER;
             called |= event == wake::ROLL_CALL;
         })?;
-        // In lockstep nobody calls.
+        // In lockstep no learner calls.
         if self.welcome && called && self.services.sizes.replaces {
             self.welcome = false;
             handler.forget();
@@ -160,7 +160,7 @@ impl MentorLink for IceoryxMentor {
             }
             pulse::step();
             wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
-            // Before the welcome that may have come: what was asked until then was meant for another.
+            // Before a welcome that may have come: requests until then were meant for another mentor-server.
             self.answer_all(handler)?;
             self.sleep(HELLO_INTERVAL, handler)?;
         }
@@ -170,7 +170,7 @@ impl MentorLink for IceoryxMentor {
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
         let start = Instant::now();
         if self.services.sizes.replaces {
-            // Whoever is always busy must hear another learner's call, too.
+            // A mentor-server that is always busy must hear another learner's call, too.
             self.sleep(Duration::ZERO, handler)?;
         }
         loop {

@@ -27,7 +27,7 @@ const OTHER_NODES: usize = 6;
 /// Shared memory that the buffered batches of one actor may take, bytes; fewer are buffered if they are larger.
 const TRANSITIONS_BYTES: usize = 32 << 20;
 
-/// What a run's messages measure, derived from its plan.
+/// The sizes of a run's messages, derived from its plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sizes {
     /// Actors.
@@ -132,7 +132,7 @@ pub(super) type Query =
     request_response::PortFactory<Ipc, [f32], Wire<QueryRequest>, [u32], Wire<QueryAnswer>>;
 pub(super) type Wake = event::PortFactory<Ipc>;
 
-/// All services of a run, opened. Whoever holds this keeps them in being.
+/// All services of a run, opened. They exist for as long as a process holds this.
 #[derive(Debug)]
 pub struct Services {
     pub(super) sizes: Sizes,
@@ -153,14 +153,14 @@ pub struct Services {
     _departure: Departure,
 }
 
-/// Removes a run whose supervisor is gone when it is dropped. Whoever joins a run holds one from before: the run may have
-/// ended, and been removed, while it joined.
+/// Removes a run whose supervisor is gone when it is dropped. A process that joins a run makes one first: the run may
+/// end, and be removed, while the process joins.
 #[derive(Debug)]
 struct Departure(Domain);
 
 impl Drop for Departure {
     fn drop(&mut self) {
-        // Not one that has no root yet: whoever comes too early must not remove what is being made.
+        // Not one that has no root yet: a process that comes too early must not remove a run that is being made.
         if !self.0.is_dead() {
             return;
         }
@@ -197,12 +197,12 @@ impl Services {
     /// Opens every service of `plan`'s run.
     ///
     /// # Errors
-    /// There is no supervisor that holds them; what is left of such a run is removed.
+    /// There is no supervisor that holds them; the remains of such a run are removed.
     pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
         Self::build(domain, plan, false)
     }
 
-    /// Removes what dead processes of the run left, so that others can take their places. False: something is left.
+    /// Removes the remains of the run's dead processes, so that others can take their places. False: something is left.
     pub fn reap(&self) -> bool {
         self.node.try_cleanup_dead_nodes().failed_cleanups == 0
     }
