@@ -170,7 +170,7 @@ pub(crate) enum Demo {
     },
     /// Record greedy episodes of a run's newest checkpoint: their states, never their actions
     Record(Record),
-    /// Take the states from a file or data set of others: Minari (HDF5, Arrow), D4RL (HDF5), CSV, NPY
+    /// Take the states from a file or data set of others: HDF5 (Minari, D4RL, robomimic and others), Arrow, CSV, NPY, NPZ
     Import(Import),
     /// Describe a demonstration and how it meets a configuration's thresholds
     Inspect(Inspect),
@@ -188,7 +188,7 @@ pub(crate) struct Inspect {
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
     /// The two features that are drawn, by their places: `0,1`
-    #[arg(long, value_name = "X,Y", value_parser = axes)]
+    #[arg(long, value_name = "X,Y", value_parser = pair)]
     pub(crate) axes: Option<[usize; 2]>,
     /// Draw the trajectories into this SVG file as well
     #[arg(long, value_name = "FILE")]
@@ -198,8 +198,8 @@ pub(crate) struct Inspect {
     pub(crate) overwrite: bool,
 }
 
-/// `X,Y`.
-fn axes(text: &str) -> Result<[usize; 2], String> {
+/// Two whole numbers: `X,Y`.
+fn pair(text: &str) -> Result<[usize; 2], String> {
     let parsed =
         text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
     parsed.ok_or_else(|| "accepted: two whole numbers, such as 0,1".into())
@@ -232,14 +232,18 @@ pub(crate) struct Import {
     /// The file to write
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Part of the observations where they are a dictionary, such as `observation` or `robot/position`
+    /// Part of the observations where they are a dictionary, such as `observation` or `robot/position`, or a path in the file,
+    /// such as `data/demo_*/obs/joint_pos`, where * stands for the episodes
     #[arg(long, value_name = "KEY")]
     pub(crate) key: Option<String>,
+    /// Whether the first row of a table names its columns
+    #[arg(long, value_enum, default_value_t = Header::Auto)]
+    pub(crate) header: Header,
     /// Features to take, in this order: `0..4`, `0,1,4..6`, or names of CSV columns; all if not given
     #[arg(long, value_name = "COLUMNS")]
     pub(crate) columns: Option<Columns>,
-    /// Episodes to take, from 0: `0..3` are the first three; all if not given
-    #[arg(long, value_name = "FROM..TO")]
+    /// Episodes to take, from 0: `0..3` are the first three, `0..3,5` one more; all if not given
+    #[arg(long, value_name = "FROM..TO,...")]
     pub(crate) episodes: Option<Episodes>,
     /// Which trajectories end in a terminal state, one without a value
     #[arg(long, value_enum, default_value_t = Ends::Recorded)]
@@ -257,6 +261,16 @@ pub(crate) enum Ends {
     Terminal,
     /// None
     CutOff,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Header {
+    /// If it looks like that
+    Auto,
+    /// It does
+    Yes,
+    /// It is data
+    No,
 }
 
 #[derive(Debug, Subcommand)]

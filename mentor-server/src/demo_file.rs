@@ -20,30 +20,45 @@
 //! 1,0,5,6
 //! ```
 
-use csv::{ReaderBuilder, StringRecord};
+use crate::import::short;
+use crate::import::sniff::{Kind, kind};
+use crate::import::table::{Fault, Header, Record, Rows};
 use std::collections::BTreeSet;
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use trestle_algorithm::demonstration::{Demonstration, DemonstrationError};
 use trestle_proto::limits::MAX_MENTOR_TRANSITIONS;
+use trestle_proto::regular_file::{self, FileError};
 use trestle_proto::rundir::{Durable, write_atomically};
 
 const FIXED_COLUMNS: [&str; 2] = ["trajectory", "terminal"];
 
-/// What the files begin with that are to be imported.
-const BINARY: [&[u8]; 3] = [b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"ARROW1"];
+/// Largest file that is read, bytes: more than the longest demonstration of the widest states needs.
+pub const MAX_BYTES: u64 = 1 << 40;
 
 /// A demonstration's file that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoFileError {
-    /// The operating system, or text that is not UTF-8.
+    /// No regular file of a size that is read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The operating system.
     #[error("{path}: {message}")]
     Io {
         /// The file.
         path: PathBuf,
         /// The reason.
         message: String,
+    },
+    /// Another format.
+    #[error("{path}: this is {what}; accepted: a demonstration in CSV. {next}")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What it is, with an article.
+        what: &'static str,
+        /// What to do.
+        next: String,
     },
     /// Rows that are no demonstration.
     #[error("{path}, row {row}: {what} is {value}; accepted: {accepted}")]
@@ -67,24 +82,13 @@ pub enum DemoFileError {
 /// A file that cannot be read, or whose contents are not as described at the top of this module; the message names the
 /// row, the column, the value and what is accepted.
 pub fn read(path: &Path) -> Result<Demonstration, DemoFileError> {
-    let io = |e: &dyn std::fmt::Display| DemoFileError::Io { path: path.into(), message: e.to_string() };
-    let mut file = BufReader::new(File::open(path).map_err(|e| io(&e))?);
-    let mut source = Source { path, row: 1 };
-    let start = file.fill_buf().map_err(|e| io(&e))?;
-    if BINARY.iter().any(|magic| start.starts_with(magic)) {
-        let accepted = "a demonstration in CSV; `trestle demo import` makes one of it";
-        return Err(source.refuse("the file", "HDF5, NPY or Arrow", accepted));
-    }
-    let mut rows = ReaderBuilder::new().has_headers(false).flexible(true).from_reader(file);
-    let mut record = StringRecord::new();
-    if !rows.read_record(&mut record).map_err(|e| io(&e))? {
-        return Err(source.refuse("the header", "missing", "trajectory,terminal,<features>"));
-    }
-    let mut demo = source.header(&record)?;
+    let (mut rows, mut demo) = open(path)?;
+    let mut source = Source { path, row: rows.header().map_or(1, |(row, _)| row) };
+    let mut record = Record::default();
     let mut pending = Pending::default();
     let mut seen = BTreeSet::new();
-    while rows.read_record(&mut record).map_err(|e| io(&e))? {
-        let row = record.position().map_or(source.row + 1, csv::Position::line);
+    while rows.next(&mut record).map_err(|fault| refusal(path, fault))? {
+        let row = record.line;
         let id = Source { path, row }.whole_number(&record)?;
         if pending.id != Some(id) {
             source.finish(&mut pending, &mut demo)?;
@@ -97,7 +101,7 @@ pub fn read(path: &Path) -> Result<Demonstration, DemoFileError> {
             return Err(source.refuse("terminal", 1, "0 before the last row of a trajectory"));
         }
         source.row = row;
-        source.features(&record, &demo, &mut pending)?;
+        source.features(&record, &mut rows, &demo, &mut pending)?;
     }
     if pending.id.is_none() {
         source.row += 1;
@@ -105,6 +109,53 @@ pub fn read(path: &Path) -> Result<Demonstration, DemoFileError> {
     }
     source.finish(&mut pending, &mut demo)?;
     Ok(demo)
+}
+
+/// The row of the file at `path` that holds state `state` of its demonstration; none where it holds no such state any more.
+pub fn row_of(path: &Path, state: usize) -> Option<u64> {
+    let (mut rows, _) = open(path).ok()?;
+    let mut record = Record::default();
+    for _ in 0..=state {
+        if !rows.next(&mut record).ok()? {
+            return None;
+        }
+    }
+    Some(record.line)
+}
+
+/// The rows of a demonstration's file, and a demonstration without any.
+fn open(path: &Path) -> Result<(Rows, Demonstration), DemoFileError> {
+    let file = regular_file::open(path, MAX_BYTES)?;
+    let io = |error: io::Error| DemoFileError::Io { path: path.into(), message: error.to_string() };
+    let format = |what, next| DemoFileError::Format { path: path.into(), what, next };
+    let import = || "`trestle demo import` makes one of it".into();
+    match kind(&file, path).map_err(io)? {
+        Kind::Text | Kind::Empty => {}
+        Kind::Hdf5 => return Err(format("HDF5", import())),
+        Kind::Arrow => return Err(format("Arrow", import())),
+        Kind::Npy => return Err(format("NPY", import())),
+        Kind::Npz => return Err(format("NPZ", import())),
+        Kind::Foreign(foreign) => return Err(format(foreign.what, foreign.next)),
+    }
+    let rows = Rows::open(file, Header::Yes).map_err(|fault| refusal(path, fault))?;
+    let Some((row, names)) = rows.header() else {
+        return Err(Source { path, row: 1 }.refuse(
+            "the header",
+            "missing",
+            "trajectory,terminal,<features>",
+        ));
+    };
+    let demo = Source { path, row }.demonstration(names)?;
+    Ok((rows, demo))
+}
+
+fn refusal(path: &Path, fault: Fault) -> DemoFileError {
+    match fault {
+        Fault::Io(message) => DemoFileError::Io { path: path.into(), message },
+        Fault::Content { row, what, value, accepted } => {
+            DemoFileError::Content { path: path.into(), row, what, value, accepted }
+        }
+    }
 }
 
 /// The trajectory that is being read.
@@ -132,31 +183,31 @@ impl Source<'_> {
         }
     }
 
-    fn header(&self, record: &StringRecord) -> Result<Demonstration, DemoFileError> {
+    /// A demonstration with the features that the header names.
+    fn demonstration(&self, names: &[String]) -> Result<Demonstration, DemoFileError> {
         for (i, expected) in FIXED_COLUMNS.iter().enumerate() {
-            let found = record.get(i).unwrap_or("missing");
-            if found.trim() != *expected {
-                return Err(self.refuse(
-                    format!("column {}", i + 1),
-                    format!("`{found}`"),
-                    format!("`{expected}`"),
-                ));
+            let found = names.get(i).map_or("missing", String::as_str);
+            if found != *expected {
+                let value = format!("`{}`", short(found));
+                let accepted = format!("`{expected}`; `trestle demo import` reads other tables");
+                return Err(self.refuse(format!("column {}", i + 1), value, accepted));
             }
         }
-        let names = record.iter().skip(FIXED_COLUMNS.len()).map(|name| name.trim().to_string()).collect();
+        let names = names[FIXED_COLUMNS.len()..].to_vec();
         Demonstration::new(names).map_err(|e| self.refuse("the header", "out of range", e))
     }
 
     /// The trajectory's number.
-    fn whole_number(&self, record: &StringRecord) -> Result<u64, DemoFileError> {
-        let text = record.get(0).unwrap_or("");
-        text.trim().parse().map_err(|_| self.refuse("trajectory", format!("`{text}`"), "a whole number"))
+    fn whole_number(&self, record: &Record) -> Result<u64, DemoFileError> {
+        let text = record.get(0);
+        text.parse().map_err(|_| self.refuse("trajectory", format!("`{}`", short(text)), "a whole number"))
     }
 
     /// Appends a row's state to the trajectory.
     fn features(
         &self,
-        record: &StringRecord,
+        record: &Record,
+        rows: &mut Rows,
         demo: &Demonstration,
         pending: &mut Pending,
     ) -> Result<(), DemoFileError> {
@@ -164,15 +215,16 @@ impl Source<'_> {
         if record.len() != columns {
             return Err(self.refuse("the number of columns", record.len(), columns));
         }
-        pending.terminal = match record[1].trim() {
+        pending.terminal = match record.get(1) {
             "0" => false,
             "1" => true,
-            other => return Err(self.refuse("terminal", format!("`{other}`"), "0 or 1")),
+            other => return Err(self.refuse("terminal", format!("`{}`", short(other)), "0 or 1")),
         };
         for (text, name) in record.iter().skip(FIXED_COLUMNS.len()).zip(demo.names()) {
-            match text.trim().parse::<f32>() {
-                Ok(x) if x.is_finite() => pending.states.push(x),
-                _ => return Err(self.refuse(name, format!("`{text}`"), "a finite 32-bit number")),
+            // Read as 32 bits at once, so that what was written comes back to the bit.
+            match rows.numbers.plain(text).and_then(|text| text.parse::<f32>().ok()) {
+                Some(x) if x.is_finite() => pending.states.push(x),
+                _ => return Err(self.refuse(name, format!("`{}`", short(text)), "a finite 32-bit number")),
             }
         }
         let transitions = demo.n_transitions() + pending.states.len() / demo.dim() - 1;

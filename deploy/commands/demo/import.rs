@@ -1,7 +1,7 @@
 //! `trestle demo import`
 
 use super::{free, report};
-use crate::cli::{Ends, Import};
+use crate::cli::{Ends, Header, Import};
 use anyhow::Result;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options, import};
@@ -10,6 +10,11 @@ pub(super) fn run(args: &Import) -> Result<()> {
     free(&args.out, args.overwrite)?;
     let options = Options {
         key: args.key.clone(),
+        header: match args.header {
+            Header::Auto => import::Header::Auto,
+            Header::Yes => import::Header::Yes,
+            Header::No => import::Header::No,
+        },
         columns: args.columns.clone(),
         episodes: args.episodes.clone(),
         ends: match args.ends {

@@ -1,14 +1,14 @@
 //! Minari's Arrow files: a folder an episode, `N/part-0.arrow` and, where it is long, `part-1.arrow` and so on. A row
 //! is an observation; in the other columns the last row is padding. A single file is one episode.
 
-use super::Options;
 use super::error::{ImportError, Place};
 use super::metadata::{check_episodes, last_alone};
 use super::sink::Sink;
+use super::{MAX_SOURCE_BYTES, Options};
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
-    Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type, UInt32Type,
-    UInt64Type,
+    Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
+    UInt32Type, UInt64Type,
 };
 use arrow_array::{Array, ArrayRef, ArrowPrimitiveType, BooleanArray, RecordBatch};
 use arrow_buffer::Buffer;
@@ -20,6 +20,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use trestle_proto::regular_file;
 
 /// Magic and padding before, footer length and magic after the contents.
 const FRAME_BYTES: u64 = 8 + 10;
@@ -102,7 +103,7 @@ struct Reader {
 impl Reader {
     fn open(path: &Path) -> Result<Self, ImportError> {
         let damaged = damaged(path);
-        let mut file = File::open(path).map_err(|e| damaged(&e))?;
+        let mut file = regular_file::open(path, MAX_SOURCE_BYTES)?;
         let bytes = file.metadata().map_err(|e| damaged(&e))?.len();
         if bytes < FRAME_BYTES {
             return Err(damaged(&format!("{bytes} bytes are too few")));
@@ -225,6 +226,7 @@ fn floats(array: &ArrayRef) -> Option<Vec<f64>> {
         return None;
     }
     of::<Float32Type>(array, f64::from)
+        .or_else(|| of::<Float16Type>(array, f64::from))
         .or_else(|| of::<Float64Type>(array, |x| x))
         .or_else(|| of::<Int8Type>(array, f64::from))
         .or_else(|| of::<Int16Type>(array, f64::from))

@@ -1,5 +1,7 @@
 //! What of a source is wanted, as it is typed: columns, episodes, and which ends are terminal.
 
+use super::error::list;
+use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 use trestle_proto::limits::MAX_OBS_DIM;
@@ -8,28 +10,25 @@ use trestle_proto::limits::MAX_OBS_DIM;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns(Vec<Item>);
 
+/// What is between two commas.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Item {
-    Places(Range<usize>),
-    Name(String),
+struct Item {
+    text: String,
+    /// Its numbers, unless it can only be a name.
+    places: Option<Range<usize>>,
 }
 
 impl FromStr for Columns {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let item = |item: &str| {
-            if let Some(range) = range(item) {
-                return if range.is_empty() {
-                    Err(format!("`{item}` is empty"))
-                } else {
-                    Ok(Item::Places(range))
-                };
-            }
-            match item.parse::<usize>() {
-                Ok(place) => Ok(Item::Places(place..place.saturating_add(1))),
-                Err(_) if item.is_empty() => Err("a name or number is missing".into()),
-                Err(_) => Ok(Item::Name(item.into())),
+        let item = |text: &str| {
+            let number = |place: usize| place..place.saturating_add(1);
+            let places = range(text).or_else(|| text.parse().ok().map(number));
+            match &places {
+                Some(places) if places.is_empty() => Err(format!("`{text}` is empty")),
+                None if text.is_empty() => Err("a name or number is missing".into()),
+                _ => Ok(Item { text: text.into(), places }),
             }
         };
         text.split(',').map(|text| item(text.trim())).collect::<Result<_, _>>().map(Self)
@@ -39,23 +38,38 @@ impl FromStr for Columns {
 impl Columns {
     /// The places of these columns among `width` ones with `names` (none where they have none).
     ///
+    /// Names win over places: where columns have numbers as names, numbers are names alone.
+    ///
     /// # Errors
     /// What is missing, and what there is.
     pub(super) fn resolve(&self, width: usize, names: &[String]) -> Result<Vec<usize>, (String, String)> {
+        let place_of = |name: &str| names.iter().position(|own| own == name);
+        let numbered = names.iter().any(|name| name.parse::<usize>().is_ok());
         let mut out = Vec::new();
         for item in &self.0 {
-            let places = match item {
-                Item::Places(places) if places.end <= width => places.clone(),
-                Item::Places(places) => {
-                    return Err((format!("{}", places.end - 1), format!("0 to {}", width - 1)));
+            let places: Vec<usize> = match (place_of(&item.text), &item.places) {
+                (Some(place), _) => vec![place],
+                (None, Some(places)) if places.len() > MAX_OBS_DIM => {
+                    return Err((format!("more than {MAX_OBS_DIM}"), format!("up to {MAX_OBS_DIM} of them")));
                 }
-                Item::Name(name) => {
-                    let place = names.iter().position(|own| own == name).ok_or_else(|| {
-                        let accepted =
-                            if names.is_empty() { format!("0 to {}", width - 1) } else { names.join(", ") };
-                        (format!("`{name}`"), accepted)
-                    })?;
-                    place..place + 1
+                (None, Some(places)) if numbered => {
+                    let named = |place: usize| {
+                        let accepted = || format!("names, as this header has numbers in it: {}", list(names));
+                        place_of(&place.to_string()).ok_or_else(|| (format!("{place}"), accepted()))
+                    };
+                    places.clone().map(named).collect::<Result<_, _>>()?
+                }
+                (None, Some(places)) if places.end <= width => places.clone().collect(),
+                (None, Some(places)) => {
+                    return Err((format!("{}", places.end - 1), format!("0 to {}", width.saturating_sub(1))));
+                }
+                (None, None) => {
+                    let accepted = if names.is_empty() {
+                        format!("0 to {}", width.saturating_sub(1))
+                    } else {
+                        list(names)
+                    };
+                    return Err((format!("`{}`", item.text), accepted));
                 }
             };
             if out.len() + places.len() > MAX_OBS_DIM {
@@ -72,19 +86,46 @@ impl Columns {
     }
 }
 
-/// Episodes in the order of the source: `0..3` are the first three.
+/// Episodes in the order of the source: `0..3` are the first three, `0..3,5,8..10` leaves some out.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Episodes(pub(super) Range<u64>);
+pub struct Episodes(Vec<Range<u64>>);
 
 impl FromStr for Episodes {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let range = range(text.trim()).map(|range| range.start as u64..range.end as u64);
-        range
-            .filter(|range| !range.is_empty())
-            .map(Self)
-            .ok_or_else(|| "accepted: FROM..TO, such as 0..3".into())
+        let accepted = "accepted: FROM..TO or single ones, in ascending order, such as 0..3 or 0..3,5";
+        let one = |text: &str| match text.parse::<u64>() {
+            Ok(episode) => Some(episode..episode.saturating_add(1)),
+            Err(_) => range(text).map(|range| range.start as u64..range.end as u64),
+        };
+        let ranges: Option<Vec<Range<u64>>> = text.split(',').map(|text| one(text.trim())).collect();
+        let ranges = ranges.ok_or(accepted)?;
+        let ascending = ranges.windows(2).all(|pair| pair[0].end <= pair[1].start);
+        if !ascending || ranges.iter().any(Range::is_empty) {
+            return Err(accepted.into());
+        }
+        Ok(Self(ranges))
+    }
+}
+
+impl Episodes {
+    pub(super) fn contains(&self, episode: u64) -> bool {
+        self.0.iter().any(|range| range.contains(&episode))
+    }
+
+    /// What all of them are below.
+    pub(super) fn end(&self) -> u64 {
+        self.0.last().map_or(0, |range| range.end)
+    }
+}
+
+impl fmt::Display for Episodes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, range) in self.0.iter().enumerate() {
+            write!(f, "{}{}..{}", if i > 0 { "," } else { "" }, range.start, range.end)?;
+        }
+        Ok(())
     }
 }
 
@@ -127,10 +168,27 @@ mod tests {
     }
 
     #[test]
+    fn names_win_over_places() {
+        let resolve = |text: &str, names: [&str; 3]| {
+            text.parse::<Columns>().unwrap().resolve(3, &names.map(String::from))
+        };
+        // A data frame that pandas wrote with its index.
+        assert_eq!(resolve("0,1", ["", "0", "1"]), Ok(vec![1, 2]));
+        assert_eq!(resolve("0..2", ["", "0", "1"]), Ok(vec![1, 2]));
+        assert_eq!(resolve("2..4", ["5", "2", "3"]), Ok(vec![1, 2]));
+        let (value, accepted) = resolve("2", ["", "0", "1"]).unwrap_err();
+        assert!(value == "2" && accepted.starts_with("names, as"), "{accepted}");
+    }
+
+    #[test]
     fn episodes_are_half_open() {
-        assert_eq!("0..3".parse::<Episodes>(), Ok(Episodes(0..3)));
-        for bad in ["", "3", "3..3", "4..3", "a..b", "-1..3"] {
-            assert!(bad.parse::<Episodes>().is_err(), "{bad}");
+        let parse = |text: &str| text.parse::<Episodes>();
+        assert_eq!(parse("0..3").unwrap().to_string(), "0..3");
+        let some = parse("0..2, 4,6..8").unwrap();
+        assert_eq!((0..10).filter(|&i| some.contains(i)).collect::<Vec<_>>(), [0, 1, 4, 6, 7]);
+        assert_eq!((some.end(), some.to_string()), (8, "0..2,4..5,6..8".into()));
+        for bad in ["", "3..3", "4..3", "a..b", "-1..3", "0..3,2", "1,"] {
+            assert!(parse(bad).is_err(), "{bad}");
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+use trestle_proto::regular_file::{FileError, FileKind};
 
 /// A source that cannot be imported.
 #[derive(Debug, thiserror::Error)]
@@ -26,6 +27,50 @@ pub enum ImportError {
         /// What is accepted.
         accepted: Box<str>,
     },
+    /// A format, or a way of storing, that is known and not read.
+    #[error("{place}: this is {what}, which is not read; {next}")]
+    Foreign {
+        /// Where.
+        place: Place,
+        /// What it is, with an article.
+        what: Box<str>,
+        /// What to do instead.
+        next: Box<str>,
+    },
+    /// No regular file of a size that is read.
+    #[error("{0}{next}", next = next_step(.0))]
+    File(#[from] FileError),
+}
+
+/// What to do about a file that is not opened.
+fn next_step(error: &FileError) -> &'static str {
+    match error {
+        FileError::Kind { kind: FileKind::Fifo, .. } => {
+            "; write what comes out of the pipe into a file first"
+        }
+        FileError::Large { .. } => "; split it, and import the parts that are needed",
+        _ => "",
+    }
+}
+
+/// Most names that a message lists, and most characters of a value that it quotes.
+const MAX_NAMES: usize = 20;
+const MAX_VALUE: usize = 200;
+
+/// Names for a message, the first ones of many.
+pub(crate) fn list(names: &[impl AsRef<str>]) -> String {
+    let shown: Vec<String> = names.iter().take(MAX_NAMES).map(|name| short(name.as_ref())).collect();
+    let more = names.len() - shown.len();
+    let end = if more > 0 { format!(" and {more} more") } else { String::new() };
+    shown.join(", ") + &end
+}
+
+/// A value for a message, cut where it is long.
+pub(crate) fn short(value: &str) -> String {
+    match value.char_indices().nth(MAX_VALUE) {
+        Some((end, _)) => format!("{}...", &value[..end]),
+        None => value.into(),
+    }
 }
 
 /// A place in a source, as far as it is known.
@@ -54,6 +99,16 @@ impl Place {
         self
     }
 
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Something that is known and not read; `next` is what to do instead.
+    pub(super) fn foreign(self, what: impl ToString, next: impl ToString) -> ImportError {
+        ImportError::Foreign { place: self, what: what.to_string().into(), next: next.to_string().into() }
+    }
+
     pub(super) fn refuse(
         self,
         what: impl ToString,
@@ -63,7 +118,7 @@ impl Place {
         ImportError::Content {
             place: self,
             what: what.to_string().into(),
-            value: value.to_string().into(),
+            value: short(&value.to_string()).into(),
             accepted: accepted.to_string().into(),
         }
     }

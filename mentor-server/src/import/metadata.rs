@@ -2,21 +2,19 @@
 
 use super::error::{ImportError, Place};
 use serde_json::Value;
-use std::fs;
 use std::path::Path;
 use trestle_proto::limits::MAX_TEXT_BYTES;
+use trestle_proto::regular_file;
 
 /// The number of episodes according to the `metadata.json` in `dir`; none if there is no such file.
 pub(super) fn total_episodes(dir: &Path) -> Result<Option<u64>, ImportError> {
     let path = dir.join("metadata.json");
-    let Ok(info) = fs::metadata(&path) else { return Ok(None) };
-    if info.len() > MAX_TEXT_BYTES {
-        let accepted = format!("up to {MAX_TEXT_BYTES} bytes");
-        return Err(Place::of(&path).refuse("the length", info.len(), accepted));
-    }
+    let text = match regular_file::read_to_string(&path, MAX_TEXT_BYTES) {
+        Err(error) if error.is_not_found() => return Ok(None),
+        text => text?,
+    };
     let io =
         |error: &dyn std::fmt::Display| ImportError::Io { path: path.clone(), message: error.to_string() };
-    let text = fs::read_to_string(&path).map_err(|e| io(&e))?;
     let metadata: Value = serde_json::from_str(&text).map_err(|e| io(&e))?;
     Ok(metadata.get("total_episodes").and_then(Value::as_u64))
 }

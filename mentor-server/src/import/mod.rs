@@ -1,4 +1,5 @@
-//! Demonstrations from the files that users have: Minari's data sets (HDF5 and Arrow), D4RL's HDF5, CSV and NPY.
+//! Demonstrations from the files that users have: HDF5 in the layouts of Minari, D4RL, robomimic, ManiSkill and others,
+//! Minari's Arrow files, tables of text, NPY and NPZ. What is known and not read is named, with a way out.
 //!
 //! Whatever the format, only states and how each episode ended are taken: columns that are not asked for, actions and
 //! rewards above all, are not even read where the format allows to skip them, and nothing of them is kept. A source is
@@ -10,31 +11,47 @@
 mod arrow;
 mod choice;
 mod csv;
-mod d4rl;
 mod error;
+mod flat;
 mod hdf5;
+mod labels;
 mod metadata;
-mod minari;
+mod names;
 mod npy;
+mod npz;
+mod rows;
 mod sink;
+pub(crate) mod sniff;
+pub(crate) mod table;
 
+#[cfg(test)]
+mod foreign_tests;
 #[cfg(test)]
 mod tests;
 
 pub use choice::{Columns, Ends, Episodes};
+pub(crate) use error::short;
 pub use error::{ImportError, Place};
+pub use npy::grid;
+pub use table::Header;
 
 use sink::Sink;
-use std::fs::File;
-use std::io::Read;
+use sniff::{Kind, kind};
 use std::path::{Path, PathBuf};
 use trestle_algorithm::demonstration::Demonstration;
+use trestle_proto::regular_file;
+
+/// Largest source that is read, bytes. Sources are streamed, so this bounds time rather than memory.
+pub const MAX_SOURCE_BYTES: u64 = 1 << 40;
 
 /// What of a source is wanted.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Which part of the observations, where they are a dictionary: names separated by `/`.
+    /// Which part of the observations, where they are a dictionary, or which path of the file: names separated by `/` or `.`,
+    /// where `*` stands for the numbers of episodes.
     pub key: Option<String>,
+    /// Whether a table's first row names its columns.
+    pub header: Header,
     /// Which features; all if none are named.
     pub columns: Option<Columns>,
     /// Which episodes; all if none are named.
@@ -60,77 +77,66 @@ pub struct Imported {
 /// A source that cannot be read, is none of the formats, is damaged, or does not hold what `options` ask for. The
 /// message names the file, the episode and the row where they are known.
 pub fn import(path: &Path, options: &Options) -> Result<Imported, ImportError> {
-    let (source, format) = locate(path)?;
-    let mut sink = Sink::new(&source, options);
-    match format {
-        Format::MinariHdf5 => minari::read(&source, options, &mut sink)?,
-        Format::D4rl => d4rl::read(&source, options, &mut sink)?,
-        Format::MinariArrow => arrow::read(&source, options, &mut sink)?,
-        Format::Npy => npy::read(&source, options, &mut sink)?,
-        Format::Csv => csv::read(&source, options, &mut sink)?,
+    if let Some(dir) = arrow_set(path)? {
+        let mut sink = Sink::new(&dir, options);
+        arrow::read(&dir, options, &mut sink)?;
+        return finish(sink, "Minari (Arrow)");
     }
-    let (demonstration, notes) = sink.done()?;
-    Ok(Imported { demonstration, format: format.name(), notes })
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
-    MinariHdf5,
-    MinariArrow,
-    D4rl,
-    Npy,
-    Csv,
-}
-
-impl Format {
-    fn name(self) -> &'static str {
-        match self {
-            Self::MinariHdf5 => "Minari (HDF5)",
-            Self::MinariArrow => "Minari (Arrow)",
-            Self::D4rl => "D4RL (HDF5)",
-            Self::Npy => "NPY",
-            Self::Csv => "CSV",
+    let path = file_in(path);
+    let io = |error: std::io::Error| ImportError::Io { path: path.clone(), message: error.to_string() };
+    let file = regular_file::open(&path, MAX_SOURCE_BYTES)?;
+    let mut sink = Sink::new(&path, options);
+    let format = match kind(&file, &path).map_err(io)? {
+        Kind::Empty => return Err(Place::of(&path).refuse("the file", "empty", "a file with states")),
+        Kind::Foreign(foreign) => return Err(Place::of(&path).foreign(foreign.what, foreign.next)),
+        Kind::Hdf5 => hdf5::read(&path, file, options, &mut sink)?,
+        Kind::Arrow => {
+            arrow::read(&path, options, &mut sink)?;
+            "Minari (Arrow)"
         }
-    }
-}
-
-const HDF5_MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-const NPY_MAGIC: &[u8] = b"\x93NUMPY";
-const ARROW_MAGIC: &[u8] = b"ARROW1";
-
-/// The file or directory to read, and what it is.
-fn locate(path: &Path) -> Result<(PathBuf, Format), ImportError> {
-    if path.is_dir() {
-        // A data set of Minari, or the folder `data` in it.
-        for dir in [path.join("data"), path.into()] {
-            let file = dir.join("main_data.hdf5");
-            if file.is_file() {
-                return Ok((file, Format::MinariHdf5));
-            }
-            if arrow::part(&dir, 0, 0).is_file() {
-                return Ok((dir, Format::MinariArrow));
-            }
+        Kind::Npy => {
+            npy::read(&path, file, options, &mut sink)?;
+            "NPY"
         }
-        let accepted = "a folder with main_data.hdf5, or with 0/part-0.arrow";
-        return Err(Place::of(path).refuse(
-            "this folder",
-            "no data set of Minari in these formats",
-            accepted,
-        ));
-    }
-    let io = |error: std::io::Error| ImportError::Io { path: path.into(), message: format!("{error}") };
-    let mut start = Vec::new();
-    File::open(path).map_err(io)?.take(8).read_to_end(&mut start).map_err(io)?;
-    let format = match &start {
-        s if s.is_empty() => return Err(Place::of(path).refuse("the file", "empty", "a file with states")),
-        s if s.starts_with(HDF5_MAGIC) => hdf5::format(path)?,
-        s if s.starts_with(NPY_MAGIC) => Format::Npy,
-        s if s.starts_with(ARROW_MAGIC) => Format::MinariArrow,
-        s if s.contains(&0) => {
-            let accepted = "HDF5, Arrow IPC, NPY, or CSV";
-            return Err(Place::of(path).refuse("the format", "unknown", accepted));
+        Kind::Npz => {
+            npz::read(&path, &file, options, &mut sink)?;
+            "NPZ"
         }
-        _ => Format::Csv,
+        Kind::Text => {
+            csv::read(&path, file, options, &mut sink)?;
+            "CSV"
+        }
     };
-    Ok((path.into(), format))
+    finish(sink, format)
+}
+
+fn finish(sink: Sink<'_>, format: &'static str) -> Result<Imported, ImportError> {
+    let (demonstration, notes) = sink.done()?;
+    Ok(Imported { demonstration, format, notes })
+}
+
+/// The folder with a folder an episode, if `path` is a data set of Minari's in Arrow files.
+fn arrow_set(path: &Path) -> Result<Option<PathBuf>, ImportError> {
+    if !path.is_dir() {
+        return Ok(None);
+    }
+    for dir in [path.join("data"), path.into()] {
+        if dir.join(MINARI_HDF5).is_file() {
+            return Ok(None);
+        }
+        if arrow::part(&dir, 0, 0).is_file() {
+            return Ok(Some(dir));
+        }
+    }
+    let accepted =
+        "a folder with main_data.hdf5, or with 0/part-0.arrow; of other data sets, one of their files";
+    Err(Place::of(path).refuse("this folder", "no data set of Minari in these formats", accepted))
+}
+
+const MINARI_HDF5: &str = "main_data.hdf5";
+
+/// The file to read: `path`, or Minari's in it.
+fn file_in(path: &Path) -> PathBuf {
+    let inside = [path.join("data").join(MINARI_HDF5), path.join(MINARI_HDF5)];
+    inside.into_iter().find(|file| path.is_dir() && file.is_file()).unwrap_or(path.into())
 }

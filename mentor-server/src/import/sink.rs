@@ -88,12 +88,12 @@ impl<'a> Sink<'a> {
 
     /// Whether the episode that comes next is wanted.
     pub(super) fn wanted(&self) -> bool {
-        self.options.episodes.as_ref().is_none_or(|episodes| episodes.0.contains(&self.episodes))
+        self.options.episodes.as_ref().is_none_or(|episodes| episodes.contains(self.episodes))
     }
 
     /// Whether no episode from here on is wanted.
     pub(super) fn satisfied(&self) -> bool {
-        self.options.episodes.as_ref().is_some_and(|episodes| self.episodes >= episodes.0.end)
+        self.options.episodes.as_ref().is_some_and(|episodes| self.episodes >= episodes.end())
     }
 
     /// Number of states of the episode so far.
@@ -154,11 +154,10 @@ impl<'a> Sink<'a> {
     pub(super) fn done(mut self) -> Result<(Demonstration, Vec<String>), ImportError> {
         let place = Place::of(&self.path);
         if let Some(episodes) = &self.options.episodes
-            && self.episodes < episodes.0.end
+            && self.episodes < episodes.end()
         {
             let accepted = format!("up to 0..{}", self.episodes);
-            let value = format!("{}..{}", episodes.0.start, episodes.0.end);
-            return Err(place.refuse("--episodes", value, accepted));
+            return Err(place.refuse("--episodes", episodes, accepted));
         }
         if self.single > 0 {
             let single = self.single;
