@@ -31,6 +31,9 @@ pub(crate) enum Command {
     /// Work with demonstrations
     #[command(subcommand)]
     Demo(Demo),
+    /// Work with maps
+    #[command(subcommand)]
+    Map(Map),
     /// Show or check a configuration
     #[command(subcommand)]
     Config(Config),
@@ -271,6 +274,34 @@ pub(crate) enum Header {
     Yes,
     /// It is data
     No,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Map {
+    /// Make a map of one in another form: 0 and 1, D4RL's strings, nested lists, gym-maze's NPY, drawings of +---+
+    Import(MapImport),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct MapImport {
+    /// A text or NPY file; what it is is seen from its contents
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+    /// The file to write
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// The start as a cell of the source, from 0,0 at the top left
+    #[arg(long, value_name = "COLUMN,ROW", value_parser = pair)]
+    pub(crate) start: Option<[usize; 2]>,
+    /// The goal, likewise
+    #[arg(long, value_name = "COLUMN,ROW", value_parser = pair)]
+    pub(crate) goal: Option<[usize; 2]>,
+    /// Which of 0 and 1 is a wall
+    #[arg(long, value_name = "0|1", default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
+    pub(crate) walls: u8,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
 }
 
 #[derive(Debug, Subcommand)]

@@ -6,6 +6,7 @@
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
 use trestle_actor::env::grid::Map;
+use trestle_actor::env::grid::foreign::{Choices, of_numbers, of_text};
 use trestle_actor::env::registry;
 use trestle_actor::worker::{STATE_KIND, Worker};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
@@ -28,10 +29,11 @@ use trestle_proto::weights::WeightsHeader;
 pub type Decoder = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ALL: [Decoder; 8] = [
+pub const ALL: [Decoder; 9] = [
     ("messages", messages),
     ("frames", frames),
     ("map", map),
+    ("foreign_map", foreign_map),
     ("config", config),
     ("demonstration", demonstration),
     ("import", import),
@@ -154,6 +156,22 @@ fn map(bytes: &[u8]) {
     }
 }
 
+/// A map's text in another form.
+fn foreign_map(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let ends = Choices { start: Some([0, 0]), goal: Some([1, 0]), zero_is_wall: false };
+    for choices in [Choices::default(), ends] {
+        if let Ok(imported) = of_text("map", &text, &choices) {
+            assert_eq!(Map::parse("map", &imported.map.to_string()).unwrap(), imported.map);
+        }
+    }
+    let numbers: Vec<f64> = bytes.iter().map(|&byte| f64::from(byte)).collect();
+    for width in 1..4 {
+        let rows: Vec<Vec<f64>> = numbers.chunks_exact(width).map(<[f64]>::to_vec).collect();
+        let _ = of_numbers("map", &rows, &ends);
+    }
+}
+
 /// A configuration's text.
 fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
@@ -180,10 +198,15 @@ fn import(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("data");
     fs::write(&path, bytes).unwrap();
-    if let Ok(imported) = import::import(&path, &Options::default()) {
-        let demo = imported.demonstration;
-        assert!(demo.n_transitions() > 0 && demo.states().iter().all(|x| x.is_finite()));
+    let columns = |text: &str| Options { columns: Some(text.parse().unwrap()), ..Options::default() };
+    let key = |key: &str| Options { key: Some(key.into()), ..Options::default() };
+    for options in [Options::default(), columns("x,y"), columns("0..2"), key("joints"), key("*/*/obs/*")] {
+        if let Ok(imported) = import::import(&path, &options) {
+            let demo = imported.demonstration;
+            assert!(demo.n_transitions() > 0 && demo.states().iter().all(|x| x.is_finite()));
+        }
     }
+    let _ = import::grid(&path, 100);
 }
 
 /// The files of a replay: the head, then a segment that begins where bytes 8 to 15 of the head say.
@@ -259,6 +282,19 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("demonstration", b"trajectory,terminal,x,y\n0,0,1,2\n0,0,2,2\n0,1,3,2\n".to_vec()),
         ("import", b"x,y\n1,2\n2,2\n3,2\n".to_vec()),
         ("import", npy),
+        ("import", b"# x;y\n0,5;1\n\"2,5\";3\n".to_vec()),
+        ("import", "\u{feff}x y done\n1 2 0\n".encode_utf16().flat_map(u16::to_le_bytes).collect()),
+        ("import", include_bytes!("golden/foreign/records.npy").to_vec()),
+        ("import", include_bytes!("golden/foreign/flat.npz").to_vec()),
+        ("import", include_bytes!("golden/foreign/successors.npz").to_vec()),
+        ("import", include_bytes!("golden/foreign/soft-link-to-group.hdf5").to_vec()),
+        ("import", include_bytes!("golden/foreign/soft-link-needed-earliest.hdf5").to_vec()),
+        ("import", include_bytes!("golden/foreign/user-block-latest.hdf5").to_vec()),
+        ("import", include_bytes!("golden/foreign/float16.hdf5").to_vec()),
+        ("foreign_map", b"[[1, 1, 1], [\"r\", 0, \"g\"], [1, 1, 1]]".to_vec()),
+        ("foreign_map", b"+---+---+\n|S    G |\n+---+---+\n".to_vec()),
+        ("foreign_map", b"#####\\#OOG#\\#####".to_vec()),
+        ("foreign_map", b"1 1 1\n1 0 0\n".to_vec()),
         ("replay", [replay.head(), replay.segment(span)].concat()),
         ("manifest", manifest.into_bytes()),
     ]

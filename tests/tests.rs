@@ -20,6 +20,7 @@ mod hazards;
 mod host;
 mod hostile;
 mod leftovers;
+mod maps;
 mod mentors;
 mod point_maze;
 mod query;

@@ -35,7 +35,7 @@ pub(super) fn run(args: &Demo) -> Result<ExitCode> {
 }
 
 /// Refuses to write where something is, unless that was asked for.
-fn free(out: &Path, overwrite: bool) -> Result<()> {
+pub(super) fn free(out: &Path, overwrite: bool) -> Result<()> {
     ensure!(overwrite || !out.exists(), "{} exists; accepted: another --out, or --overwrite", out.display());
     Ok(())
 }

@@ -4,6 +4,7 @@ mod config;
 mod demo;
 mod doctor;
 mod eval;
+mod map;
 mod report;
 mod role;
 mod sweep;
@@ -22,6 +23,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
     if let Command::Eval(_)
     | Command::Report(_)
     | Command::Demo(_)
+    | Command::Map(_)
     | Command::Config(_)
     | Command::Doctor(_) = &cli.command
     {
@@ -47,6 +49,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Report(args) => report::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Map(args) => map::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Actor(args) => role::actor(&args),

@@ -40,14 +40,24 @@ pub enum FileError {
         /// The most that the reader accepts.
         limit: u64,
     },
-    /// Bytes that are not UTF-8.
-    #[error("{path}, line {line}: bytes that are not UTF-8 text")]
+    /// Bytes that are no text.
+    #[error("{path}, {error}")]
     NotText {
         /// The path as it was given.
         path: PathBuf,
-        /// The line of the first such byte, from 1.
-        line: usize,
+        /// Where.
+        error: NotText,
     },
+}
+
+/// Bytes that are no text: neither UTF-8 nor, with a byte-order mark, UTF-16.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}, column {column}: bytes that are not UTF-8 text")]
+pub struct NotText {
+    /// The line of the first such byte, from 1.
+    pub line: usize,
+    /// Its column, from 1.
+    pub column: usize,
 }
 
 impl FileError {
@@ -138,16 +148,44 @@ pub fn read(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     }
 }
 
-/// The text of the regular file at `path`, up to `limit` bytes of UTF-8.
+/// The text of the regular file at `path`, up to `limit` bytes; see [`decode`].
 ///
 /// # Errors
-/// As [`read`], and bytes that are not UTF-8.
+/// As [`read`], and bytes that are no text.
 pub fn read_to_string(path: &Path, limit: u64) -> Result<String, FileError> {
-    String::from_utf8(read(path, limit)?).map_err(|error| {
-        let sound = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-        let line = 1 + sound.iter().filter(|&&byte| byte == b'\n').count();
-        FileError::NotText { path: path.into(), line }
-    })
+    decode(read(path, limit)?).map_err(|error| FileError::NotText { path: path.into(), error })
+}
+
+/// The text in `bytes`: UTF-8, or UTF-16 with a byte-order mark. The mark is no part of the text.
+///
+/// # Errors
+/// Where the first bytes are that are no text.
+pub fn decode(bytes: Vec<u8>) -> Result<String, NotText> {
+    let not_text = |sound: &str| NotText {
+        line: sound.split('\n').count(),
+        column: sound.rsplit('\n').next().map_or(0, |last| last.chars().count()) + 1,
+    };
+    let unit = match bytes.as_slice() {
+        [0xff, 0xfe, ..] => Some(u16::from_le_bytes as fn([u8; 2]) -> u16),
+        [0xfe, 0xff, ..] => Some(u16::from_be_bytes as fn([u8; 2]) -> u16),
+        _ => None,
+    };
+    let Some(unit) = unit else {
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let sound = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+            not_text(&String::from_utf8_lossy(sound))
+        })?;
+        return Ok(text.strip_prefix('\u{feff}').map(String::from).unwrap_or(text));
+    };
+    let (units, rest) = bytes[2..].as_chunks::<2>();
+    let mut text = String::with_capacity(units.len());
+    for letter in char::decode_utf16(units.iter().map(|&pair| unit(pair))) {
+        match letter {
+            Ok(letter) => text.push(letter),
+            Err(_) => return Err(not_text(&text)),
+        }
+    }
+    if rest.is_empty() { Ok(text) } else { Err(not_text(&text)) }
 }
 
 #[cfg(test)]
@@ -204,12 +242,24 @@ mod tests {
         let proc = Path::new("/proc/self/status");
         assert!(open(proc, 8).is_ok());
         assert!(read(proc, 8).unwrap_err().to_string().ends_with(" has 9 bytes; accepted: up to 8"));
-        fs::write(&path, b"a\nb\n\xff").unwrap();
-        assert!(
-            read_to_string(&path, 9)
-                .unwrap_err()
-                .to_string()
-                .ends_with(", line 3: bytes that are not UTF-8 text")
-        );
+        fs::write(&path, b"a\nb\nc\xff").unwrap();
+        let message = read_to_string(&path, 9).unwrap_err().to_string();
+        assert!(message.ends_with(", line 3, column 2: bytes that are not UTF-8 text"), "{message}");
+    }
+
+    #[test]
+    fn marks_are_no_part_of_a_text() {
+        let text = "x = 1\n\u{1f600}\n";
+        let wide = |order: fn(u16) -> [u8; 2]| {
+            "\u{feff}".encode_utf16().chain(text.encode_utf16()).flat_map(order).collect()
+        };
+        let marked = [b"\xef\xbb\xbf", text.as_bytes()].concat();
+        for bytes in [text.into(), marked, wide(u16::to_le_bytes), wide(u16::to_be_bytes)] {
+            assert_eq!(decode(bytes).unwrap(), text);
+        }
+        assert_eq!(decode(vec![]).unwrap(), "");
+        // Half a character, and half of a pair.
+        assert_eq!(decode(vec![0xff, 0xfe, b'a', 0, b'b']), Err(NotText { line: 1, column: 2 }));
+        assert_eq!(decode(vec![0xff, 0xfe, 0x00, 0xd8]), Err(NotText { line: 1, column: 1 }));
     }
 }

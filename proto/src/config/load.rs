@@ -147,7 +147,7 @@ impl Presets {
                 fault(format!("{kind}, not a file; accepted: a preset or a TOML file"))
             }
             FileError::Large { bytes, limit, .. } => fault(format!("{bytes} bytes; accepted: up to {limit}")),
-            FileError::NotText { line, .. } => fault(format!("line {line} is not UTF-8 text")),
+            FileError::NotText { error, .. } => fault(format!("line {} is not UTF-8 text", error.line)),
         })?;
         parse(&path.display().to_string(), &text)
     }

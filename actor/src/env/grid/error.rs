@@ -3,8 +3,8 @@
 use super::map::MapError;
 use super::source::builtin_names;
 use crate::env::EnvError;
-use std::path::PathBuf;
-use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
+use trestle_proto::limits::MAX_MAP_SIDE;
+use trestle_proto::regular_file::FileError;
 
 /// A map or an action set that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -23,22 +23,9 @@ pub enum GridError {
         /// The nearest built-in map, if one is near.
         hint: String,
     },
-    /// A map file that cannot be read.
-    #[error("env.map = {path}: {message}")]
-    ReadMap {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        message: String,
-    },
-    /// A map file that is too large to be one.
-    #[error("env.map = {path}: {bytes} bytes; accepted: up to {MAX_TEXT_BYTES}")]
-    MapBytes {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        bytes: u64,
-    },
+    /// A map file that cannot be read, or is too large to be one.
+    #[error("env.map = {0}")]
+    ReadMap(FileError),
     /// A description of a random map that is none.
     #[error(
         "env.map = {name}; accepted: random:<seed>:<columns>x<rows> with a whole number or `run` as the seed and \

@@ -1,7 +1,8 @@
 //! The map of a maze: its text, its cells, and which moves are possible.
 //!
 //! One line a row, the top row first: `#` a wall, `.` a free cell, `S` the start, `G` the goal. Lines end with LF or
-//! CRLF; the last one may lack its end.
+//! CRLF; the last one may lack its end. A byte-order mark, blank lines before and after the map, and blanks at the ends of
+//! lines are no part of it.
 
 use super::actions::Direction;
 use std::fmt;
@@ -34,7 +35,7 @@ pub enum MapFault {
     #[error("the map is too large; accepted: up to {MAX_MAP_SIDE} lines of up to {MAX_MAP_SIDE} characters")]
     Large,
     /// A line of another length than the first.
-    #[error("this line has {found} characters; accepted: {expected}, as line 1")]
+    #[error("this line has {found} characters; accepted: {expected}, as the first one")]
     Ragged {
         /// Its length, characters.
         found: usize,
@@ -42,7 +43,7 @@ pub enum MapFault {
         expected: usize,
     },
     /// A character that means nothing.
-    #[error("{found:?}; accepted: # . S G")]
+    #[error("{found:?}; accepted: # . S G; `trestle map import` reads other forms")]
     Unknown {
         /// The character.
         found: char,
@@ -111,16 +112,18 @@ impl Map {
     /// # Errors
     /// The first fault, with line and column.
     pub fn parse(origin: &str, text: &str) -> Result<Self, MapError> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let all: Vec<&str> = text.split('\n').map(str::trim_end).collect();
+        let first = all.iter().position(|line| !line.is_empty()).unwrap_or(0);
+        let last = all.iter().rposition(|line| !line.is_empty()).unwrap_or(0);
+        let lines = &all[first..=last];
+        // The line is that of the text.
         let fault = |row: usize, column: usize, fault| MapError {
             origin: origin.into(),
-            line: row + 1,
+            line: first + row + 1,
             column: column + 1,
             fault,
         };
-        let mut lines: Vec<&str> = text.split('\n').map(|l| l.strip_suffix('\r').unwrap_or(l)).collect();
-        if lines.last() == Some(&"") {
-            lines.pop();
-        }
         let columns = lines.first().map_or(0, |line| line.chars().count());
         if columns == 0 {
             return Err(fault(0, 0, MapFault::Empty));
@@ -152,7 +155,7 @@ impl Map {
                     return Err(fault(
                         row,
                         column,
-                        MapFault::Second { letter, line: *r + 1, column: *c + 1 },
+                        MapFault::Second { letter, line: first + *r + 1, column: *c + 1 },
                     ));
                 }
                 if let Some(end) = end {
@@ -296,8 +299,16 @@ mod tests {
         assert!(map.is_free([1, 0]) && !map.is_free([2, 0]));
         assert!(!map.is_free([3, 0]) && !map.is_free([0, 2]));
         assert_eq!(map.to_string(), "S.#\n..G\n");
-        for same in ["S.#\r\n..G\r\n", "S.#\n..G", "S.#\r\n..G"] {
-            assert_eq!(Map::parse("m", same).unwrap(), map);
+        for same in [
+            "S.#\r\n..G\r\n",
+            "S.#\n..G",
+            "S.#\r\n..G",
+            "\u{feff}S.#\n..G\n",
+            "\nS.#\n..G\n",
+            "\u{feff}\r\n \r\nS.#\r\n..G\r\n\r\n",
+            "S.#  \n..G\t\n\n \n",
+        ] {
+            assert_eq!(Map::parse("m", same).unwrap(), map, "{same:?}");
         }
         assert!(Map::parse("m", "GS").is_ok());
     }
@@ -305,15 +316,19 @@ mod tests {
     #[test]
     fn each_fault_names_line_and_column() {
         assert!(refused("").starts_with("map m, line 1, column 1: the map is empty"));
-        assert!(refused("\nSG\n").starts_with("map m, line 1, column 1: the map is empty"));
+        assert!(refused("\n \n").starts_with("map m, line 1, column 1: the map is empty"));
         assert!(
             refused("S.\n.G.\n")
                 .starts_with("map m, line 2, column 3: this line has 3 characters; accepted: 2")
         );
         assert!(refused("S.\n\nG.\n").starts_with("map m, line 2, column 1: this line has 0 characters"));
-        assert!(refused("SG\n\n").starts_with("map m, line 2, column 1: this line has 0"));
-        assert_eq!(refused("S.\n.x\n"), "map m, line 2, column 2: 'x'; accepted: # . S G");
-        assert!(refused("S.\n.G\t").starts_with("map m, line 2, column 3: this line has 3"));
+        let other = "accepted: # . S G; `trestle map import` reads other forms";
+        assert_eq!(refused("S.\n.x\n"), format!("map m, line 2, column 2: 'x'; {other}"));
+        assert!(refused("\n\nS.\n.x\n").starts_with("map m, line 4, column 2: 'x'"));
+        assert!(
+            refused("\nS.\nGS").contains("line 3, column 2: a second `S`, after that of line 2, column 1")
+        );
+        assert!(refused("S.\n.\tG").starts_with("map m, line 2, column 3: this line has 3"));
         assert!(refused("S\u{e9}G").starts_with("map m, line 1, column 2: '\u{e9}'"));
         assert!(refused("S.\nGS").contains("line 2, column 2: a second `S`, after that of line 1, column 1"));
         assert!(refused("SG\n.G").contains("line 2, column 2: a second `G`, after that of line 1, column 2"));

@@ -1,12 +1,13 @@
 //! Maps of cells, which several environments share: the text of a map and where it comes from, compass directions and action
 //! sets made of them, shortest paths, random maps.
 //!
-//! * [`Map`]: the text of a map, its cells, which moves are possible; [`resolve`]: where it comes from;
+//! * [`Map`]: the text of a map, its cells, which moves are possible; [`resolve`]: where it comes from; [`foreign`]: those of others;
 //! * [`ActionSet`]: compass directions under a name; [`ActionSets`]: those that a configuration can name;
 //! * [`Search`], [`mentor_path`]: shortest paths; [`generate`]: random maps.
 
 mod actions;
 mod error;
+pub mod foreign;
 mod generate;
 mod map;
 mod search;

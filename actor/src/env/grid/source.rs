@@ -3,10 +3,10 @@
 use super::GridError;
 use super::generate::{MIN_SIDE, generate};
 use super::map::{Map, MapError, MapFault};
-use std::fs;
 use std::path::Path;
 use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
 use trestle_proto::names;
+use trestle_proto::regular_file::{self, NotText};
 use trestle_proto::rng::{Purpose, stream};
 
 /// The maps that are compiled in: name and text. `maze30` is the paper's; `maze-small` is ours, with shortest paths of
@@ -87,37 +87,23 @@ fn random(description: &str, run_seed: u64) -> Option<(u64, usize, usize)> {
 
 /// The text of the map file `name`.
 fn read(name: &str) -> Result<String, GridError> {
-    let path = Path::new(name);
-    let fault = |message: String| GridError::ReadMap { path: path.into(), message };
-    let meta = fs::metadata(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => {
+    let bytes = regular_file::read(Path::new(name), MAX_TEXT_BYTES).map_err(|error| match error {
+        error if error.is_not_found() => {
             let hint = names::hint(name, BUILTIN.map(|(known, _)| known));
             GridError::UnknownMap { name: name.into(), hint }
         }
-        _ => fault(e.to_string()),
+        error => GridError::ReadMap(error),
     })?;
-    if !meta.is_file() {
-        return Err(fault("not a file; accepted: a text file".into()));
-    }
-    if meta.len() > MAX_TEXT_BYTES {
-        return Err(GridError::MapBytes { path: path.into(), bytes: meta.len() });
-    }
-    let bytes = fs::read(path).map_err(|e| fault(e.to_string()))?;
-    String::from_utf8(bytes).map_err(|e| not_text(name, &e).into())
-}
-
-/// Where the first bytes that are no text lie.
-fn not_text(name: &str, error: &std::string::FromUtf8Error) -> MapError {
-    let sound = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
-    let line = sound.split('\n').count();
-    let column = sound.rsplit('\n').next().map_or(0, |last| last.chars().count()) + 1;
-    MapError { origin: name.into(), line, column, fault: MapFault::NotText }
+    regular_file::decode(bytes).map_err(|NotText { line, column }| {
+        MapError { origin: name.into(), line, column, fault: MapFault::NotText }.into()
+    })
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use std::fs;
 
     fn refused(map: &str) -> String {
         resolve(map, &mut None, 0).unwrap_err().to_string()
@@ -142,6 +128,10 @@ mod tests {
         assert_eq!(layout("maze30", 0), BUILTIN[0].1);
         assert_eq!(layout("maze-small", 0), BUILTIN[1].1);
         assert_eq!(layout(path.to_str().unwrap(), 0), "S.\n.G\n");
+        // As editors on other systems save it.
+        let wide: Vec<u8> = "\u{feff}S.\r\n.G\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        fs::write(&path, wide).unwrap();
+        assert_eq!(layout(path.to_str().unwrap(), 0), "S.\n.G\n");
         assert_eq!(layout("random:7:9x5", 1), layout("random:7:9x5", 2));
         assert_eq!(layout("random:run:9x5", 7), layout("random:7:9x5", 0));
         assert_eq!(Map::parse("m", &layout("random:7:9x5", 0)).unwrap().columns(), 9);
@@ -165,7 +155,7 @@ mod tests {
             assert!(refused(bad).contains("accepted: random:<seed>:<columns>x<rows>"), "{bad}");
         }
         let dir = tempfile::tempdir().unwrap();
-        assert!(refused(dir.path().to_str().unwrap()).contains("not a file"));
+        assert!(refused(dir.path().to_str().unwrap()).contains("is a directory; accepted: a regular file"));
         let path = dir.path().join("bytes.txt");
         fs::write(&path, b"S.\n.\xff").unwrap();
         let name = path.to_str().unwrap();
