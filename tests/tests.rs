@@ -5,6 +5,7 @@
 
 mod util;
 
+mod cases;
 mod client;
 mod commands;
 mod concurrency;

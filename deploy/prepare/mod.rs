@@ -1,6 +1,7 @@
 //! From a configuration to a run that is ready to start, or a refusal that leaves nothing behind.
 //!
 //! - `resolve`: the configuration meets its environment and its demonstrations, and becomes a plan;
+//! - `possible`: whether the environment can be in what was demonstrated;
 //! - `probes`: what the machine must offer;
 //! - `fence`: the lock of a run's directory;
 //! - `directory`: the run's directory is made, replaced, or taken over to go on in it;
@@ -10,6 +11,7 @@
 
 mod directory;
 mod fence;
+mod possible;
 mod probes;
 mod resolve;
 mod states;

@@ -1,9 +1,10 @@
 //! From a configuration to a plan, or a refusal. Nothing is written here.
 
+use super::possible;
 use super::probes::Needs;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
-use trestle_actor::env::registry;
+use trestle_actor::env::{Environment, registry};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise};
@@ -32,6 +33,8 @@ pub(crate) struct Mentors {
     /// All of them as one.
     pub(crate) all: Demonstration,
     pub(crate) summary: Summary,
+    /// What is odd about their states.
+    warnings: Vec<String>,
 }
 
 impl Mentors {
@@ -112,7 +115,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
     let spec = env.spec().clone();
     spec.validate()?;
     let mentors = if config.needs_demonstration() {
-        let mentors = mentors(&config, &spec)?;
+        let mentors = mentors(&config, env.as_ref())?;
         mentors.resolve_thresholds(&mut config.mentor)?;
         Some(mentors)
     } else {
@@ -132,9 +135,11 @@ fn meet(mut config: Config) -> Result<Resolved> {
 }
 
 /// The demonstrations that `config` names.
-fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
+fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
+    let mut warnings = Vec::new();
     let each = config.mentor.demo.iter().map(|(name, source)| {
-        let demonstration = demonstration(config, source, spec)?;
+        let (demonstration, warning) = demonstration(config, source, env)?;
+        warnings.extend(warning);
         Ok((name.to_string(), demonstration))
     });
     let each = each.collect::<Result<Vec<_>>>()?;
@@ -143,19 +148,24 @@ fn mentors(config: &Config, spec: &EnvSpec) -> Result<Mentors> {
     let mut all = first.clone();
     rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
     let mentor = &config.mentor;
-    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &spec.scale, all.states())?;
+    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &env.spec().scale, all.states())?;
     let summary = summarise(&all, &metric, mentor.n as usize);
-    Ok(Mentors { each, all, summary })
+    Ok(Mentors { each, all, summary, warnings })
 }
 
-/// The demonstration from `source`: planned, or read from a file.
-fn demonstration(config: &Config, source: &str, spec: &EnvSpec) -> Result<Demonstration> {
+/// The demonstration from `source`, planned or read from a file, and what there is to warn of.
+fn demonstration(
+    config: &Config,
+    source: &str,
+    env: &dyn Environment,
+) -> Result<(Demonstration, Option<String>)> {
+    let spec = env.spec();
     if source == PLAN {
         let states = registry().plan_states(&config.env, &config.mentor.actions)?;
         let names = (0..spec.obs_dim()).map(|i| format!("s{i}")).collect();
         let mut demonstration = Demonstration::new(names)?;
         demonstration.push_trajectory(&states.concat(), true)?;
-        return Ok(demonstration);
+        return Ok((demonstration, None));
     }
     let path = Path::new(source);
     let demonstration = demo_file::read(path)?;
@@ -166,29 +176,20 @@ fn demonstration(config: &Config, source: &str, spec: &EnvSpec) -> Result<Demons
         path.display(),
         spec.name
     );
-    for (row, state) in demonstration.states().chunks_exact(expected).enumerate() {
-        for (feature, &value) in state.iter().enumerate() {
-            let (low, high) = (spec.low[feature], spec.high[feature]);
-            ensure!(
-                (low..=high).contains(&value) && (!spec.integral || value.fract() == 0.0),
-                "mentor.demo = {}: state {row} has {value} as feature {feature}; accepted: {}{low} to {high}, as in {}",
-                path.display(),
-                if spec.integral { "whole numbers from " } else { "" },
-                spec.name
-            );
-        }
-    }
-    Ok(demonstration)
+    let warning = possible::check(path, &demonstration, env)?;
+    Ok((demonstration, warning))
 }
 
 impl Resolved {
     /// What is likely to be a mistake, though it could be run.
     pub(crate) fn warnings(&self) -> Vec<String> {
         let mentor = &self.config.mentor;
-        match (&self.mentors, mentor.e_th.known(), mentor.e_infeas.known()) {
-            (Some(mentors), Some(e_th), Some(e_infeas)) => mentors.summary.warnings(e_th, e_infeas),
-            _ => Vec::new(),
+        let Some(mentors) = &self.mentors else { return Vec::new() };
+        let mut warnings = mentors.warnings.clone();
+        if let (Some(e_th), Some(e_infeas)) = (mentor.e_th.known(), mentor.e_infeas.known()) {
+            warnings.extend(mentors.summary.warnings(e_th, e_infeas));
         }
+        warnings
     }
 
     /// What the run's processes need to know.

@@ -143,10 +143,12 @@ fn spaces_are_respected() {
                 && (!spec.integral || obs.iter().all(|x| x.fract() == 0.0))
         };
         assert!(inside(&obs));
+        assert!(env.features().is_empty() || env.features().len() == obs.len());
         let mut ends = 0;
         for _ in 0..5000 {
             let (_, step, reached) = walk(env.as_mut(), &mut rng, &mut obs);
             assert!(inside(&reached) && inside(&obs) && step.reward.is_finite());
+            assert_eq!([env.can_be_in(&reached), env.can_be_in(&obs)], [Ok(()); 2], "{}", spec.name);
             assert!(!(step.terminated && step.truncated));
             assert!(!step.success || spec.defines_success);
             ends += u32::from(step.terminated || step.truncated);

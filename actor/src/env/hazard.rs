@@ -4,7 +4,7 @@
 //! Steps are counted over the life of a process and are no part of a snapshot. So a process that is started in the place of
 //! one that has failed gets as far as that one, and, where a checkpoint was taken on the way, past it.
 
-use super::{EnvError, Environment, Step};
+use super::{EnvError, Environment, Impossible, Step};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
@@ -89,6 +89,14 @@ impl Environment for Hazardous {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError> {
         self.env.restore(bytes)
+    }
+
+    fn features(&self) -> &'static [&'static str] {
+        self.env.features()
+    }
+
+    fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {
+        self.env.can_be_in(state)
     }
 }
 

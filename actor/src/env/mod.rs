@@ -71,6 +71,58 @@ pub trait Environment: Send {
     /// # Errors
     /// Bytes that are damaged, or no state of this environment; it is unchanged then.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError>;
+
+    /// What the features of an observation are called, in their order; none where they have no names.
+    fn features(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Whether the environment can ever be in the state that is observed as `state` (`[obs_dim]`): what a demonstration of
+    /// it may hold. The default looks at the spaces alone.
+    ///
+    /// # Errors
+    /// Why it cannot.
+    fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {
+        within(self.spec(), state)
+    }
+}
+
+/// Why an environment cannot be in a state.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Impossible {
+    /// A feature that is out of its range.
+    #[error("feature {feature} is {value}; accepted: {kind}{low} to {high}", kind = if *.integral { "whole numbers from " } else { "" })]
+    Range {
+        /// Which feature.
+        feature: usize,
+        /// Its value.
+        value: f32,
+        /// The smallest that it can have.
+        low: f32,
+        /// The largest.
+        high: f32,
+        /// Whether it is a whole number.
+        integral: bool,
+    },
+    /// A place that is taken by a wall.
+    #[error("it lies in the wall at column {column}, row {row} of the map")]
+    Wall {
+        /// Column of the map, from 0.
+        column: isize,
+        /// Row of the map, from 0.
+        row: isize,
+    },
+}
+
+/// Whether each feature of `state` is in its range.
+fn within(spec: &EnvSpec, state: &[f32]) -> Result<(), Impossible> {
+    for (feature, &value) in state.iter().enumerate() {
+        let (low, high, integral) = (spec.low[feature], spec.high[feature], spec.integral);
+        if !(low..=high).contains(&value) || (integral && value.fract() != 0.0) {
+            return Err(Impossible::Range { feature, value, low, high, integral });
+        }
+    }
+    Ok(())
 }
 
 impl Registry {

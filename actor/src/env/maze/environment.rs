@@ -2,7 +2,7 @@
 
 use super::Settings;
 use crate::env::grid::{ActionSet, Cell, Index, Map, Move, mentor_path};
-use crate::env::{EnvError, Environment, Step};
+use crate::env::{EnvError, Environment, Impossible, Step, within};
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::rng::Stream;
@@ -231,6 +231,21 @@ impl Environment for Maze {
         self.steps = state.steps;
         self.running = state.running;
         Ok(())
+    }
+
+    fn features(&self) -> &'static [&'static str] {
+        &["column", "row"]
+    }
+
+    fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {
+        within(&self.spec, state)?;
+        let cell = [state[0], state[1]].map(|coordinate| coordinate as usize);
+        // A map of one column or row has a range of two.
+        if self.map.is_free(cell) {
+            return Ok(());
+        }
+        let [column, row] = cell.map(|coordinate| coordinate as isize);
+        Err(Impossible::Wall { column, row })
     }
 }
 

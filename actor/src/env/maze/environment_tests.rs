@@ -250,3 +250,19 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn it_can_be_in_free_cells_alone() {
+    let maze = build(&of_text("S.#\n..G\n", "regular", 100)).unwrap();
+    let wall = Impossible::Wall { column: 2, row: 0 };
+    assert_eq!(maze.can_be_in(&[1.0, 1.0]), Ok(()));
+    assert_eq!(maze.can_be_in(&[2.0, 0.0]), Err(wall));
+    assert_eq!(wall.to_string(), "it lies in the wall at column 2, row 0 of the map");
+    for (state, message) in [
+        ([0.5, 0.0], "feature 0 is 0.5; accepted: whole numbers from 0 to 2"),
+        ([0.0, 2.0], "feature 1 is 2; accepted: whole numbers from 0 to 1"),
+        ([f32::NAN, 0.0], "feature 0 is NaN; accepted: whole numbers from 0 to 2"),
+    ] {
+        assert_eq!(maze.can_be_in(&state).unwrap_err().to_string(), message);
+    }
+}

@@ -6,7 +6,7 @@ use super::geometry::{Geometry, Vector};
 use super::physics::{Body, GEAR, MASS, SPEED_LIMIT, TIMESTEP};
 use super::{Layout, Reset, Settings};
 use crate::env::grid::{ActionSet, REGULAR, mentor_path};
-use crate::env::{EnvError, Environment, Step};
+use crate::env::{EnvError, Environment, Impossible, Step, within};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
@@ -187,6 +187,18 @@ impl Environment for PointMaze {
         self.steps = steps;
         self.running = running;
         Ok(())
+    }
+
+    fn features(&self) -> &'static [&'static str] {
+        &["x", "y", "vx", "vy"]
+    }
+
+    fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {
+        within(&self.spec, state)?;
+        // Walls push softly, but never let the ball's middle in.
+        let cell = self.geometry.cell([state[0], state[1]].map(f64::from));
+        let [column, row] = cell;
+        if self.geometry.is_wall(cell) { Err(Impossible::Wall { column, row }) } else { Ok(()) }
     }
 }
 

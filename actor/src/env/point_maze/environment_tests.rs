@@ -183,3 +183,13 @@ fn a_goal_behind_walls_is_refused() {
     let message = built(&env).err().unwrap().to_string();
     assert!(message.contains("cannot be reached"), "{message}");
 }
+
+#[test]
+fn it_can_be_where_the_ball_fits() {
+    let (maze, state) = started(&config("umaze", "orthogonal"));
+    assert_eq!(maze.can_be_in(&state), Ok(()));
+    let [x, y, vx, vy] = state;
+    assert!(matches!(maze.can_be_in(&[x, y, 99.0, vy]), Err(Impossible::Range { feature: 2, .. })));
+    // The wall in the middle of the U.
+    assert!(matches!(maze.can_be_in(&[1.8, 1.8, vx, vy]), Err(Impossible::Wall { column: 2, row: 2 })));
+}
