@@ -151,6 +151,9 @@ fn a_copy_is_not_counted() {
     assert!(report.stderr.contains("seed-7 is called after seed 7; its run is of seed 1"), "{report:?}");
 }
 
+/// Makes something at a path.
+type Plant<'a> = &'a dyn Fn(&Path);
+
 /// Whatever special or endless file lies in the place of one of a run's: each command that reads it ends at once, and says
 /// which file it is and what. None of them changes what a link leads to.
 #[test]
@@ -159,7 +162,7 @@ fn special_files_in_a_runs_directory_are_refused_by_kind() {
     let args = [&SEED[..], &["--set", "checkpoint.every_env_steps=300"]].concat();
     place.train("original", &[&args[..], &LIMIT].concat());
     let victim = place.write("victim", "precious");
-    let kinds: [(&str, &dyn Fn(&Path)); 4] = [
+    let kinds: [(&str, Plant); 4] = [
         ("pipe", &|path| mkfifo(path, Mode::S_IRWXU).unwrap()),
         ("device", &|path| symlink("/dev/zero", path).unwrap()),
         ("directory", &|path| fs::create_dir(path).unwrap()),

@@ -10,7 +10,7 @@
 //! it and both past Q-values of (4) and (5). The mentor transition's annotation is *not* copied: it is looked up
 //! when the entry is sampled, so that training sees the newest one (our choice).
 //!
-//! Every entry also knows its *successor*, the same actor's next transition of the same episode: see [`links`].
+//! Every entry also knows its *successor*, the same actor's next transition of the same episode: see `links`.
 
 mod file;
 mod links;

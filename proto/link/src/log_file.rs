@@ -43,7 +43,7 @@ impl OwnLog {
     fn length(&self) -> Option<u64> {
         let own = File::from(io::stderr().as_fd().try_clone_to_owned().ok()?).metadata().ok()?;
         let there = fs::symlink_metadata(&self.0).ok()?;
-        (there.is_file() && (own.dev(), own.ino()) == (there.dev(), there.ino())).then(|| own.len())
+        (there.is_file() && (own.dev(), own.ino()) == (there.dev(), there.ino())).then_some(own.len())
     }
 
     /// Begins a new file if the log has grown to its limit. To be called now and then, whoever wrote the lines.

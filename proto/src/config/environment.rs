@@ -23,7 +23,7 @@ settings! {
     }
 }
 
-/// The keys of [`Shared`], which no environment can have as its name or as a setting.
+/// The keys that all environments share in `[env]`, which no environment can have as its name or as a setting.
 pub const SHARED: [&str; 4] = ["name", "step_limit", "encoding", "hazard"];
 
 /// `[env]`
