@@ -48,6 +48,6 @@ advisories:
 demo:
     cargo run --release -- train maze-small --algo ha-diiqn --seed 7
 
-# The properties of the mentor-server against naive scans and Algorithm 1, many cases each; for a night, not for every change.
+# The properties of the algorithm against naive scans and Algorithm 1, many cases each; for a night, not for every change.
 properties cases="10000":
-    PROPTEST_CASES={{cases}} cargo test -p trestle-mentor-server --lib
+    PROPTEST_CASES={{cases}} cargo test -p trestle-algorithm --lib

@@ -1,21 +1,21 @@
 //! Runs as other versions of the program have left them, for the commands that only look at them.
 
 use anyhow::{Context, Result};
+use std::cmp::Ordering;
 use std::fs;
 use trestle_actor::env::registry;
-use trestle_proto::codec::CodecError;
 use trestle_proto::config;
 use trestle_proto::plan::RunPlan;
-use trestle_proto::rundir::{RunDir, RunDirError};
+use trestle_proto::rundir::RunDir;
 
-/// The plan of the run in `dir`. Where another version of the program wrote it, its configuration stands in, without the mentor,
+/// The plan of the run in `dir`. Where an earlier version of the program wrote it, its configuration stands in, without the mentor,
 /// which no greedy episode needs.
 ///
 /// # Errors
-/// There is no run, or neither its plan nor its configuration can be read.
+/// There is no run, a newer version wrote it, or neither its plan nor its configuration can be read.
 pub(crate) fn read_plan(dir: &RunDir) -> Result<RunPlan> {
     match dir.read_plan() {
-        Err(RunDirError::Plan { source: CodecError::Kind { .. }, .. }) => {}
+        Err(error) if error.other_version() == Some(Ordering::Less) => {}
         plan => return Ok(plan?),
     }
     let path = dir.config();

@@ -2,13 +2,12 @@
 //! events is forced by stopping processes, never hoped for.
 
 use crate::util::{
-    LIMIT, Place, Process, Trace, assert_gone, domain, kill_all, newest_checkpoint, process, processes, send,
-    start, tree, wait_until,
+    LIMIT, Place, Process, Trace, assert_gone, copy, domain, kill_all, newest_checkpoint, process, processes,
+    send, start, tree, wait_until,
 };
 use nix::sys::prctl::set_child_subreaper;
 use nix::sys::signal::Signal;
 use std::fs;
-use std::path::Path;
 use trestle_link::iceoryx::Liveness;
 use trestle_proto::rundir::RunDir;
 
@@ -161,18 +160,4 @@ fn a_copy_of_a_living_run_leaves_it_alone() {
     run.signal(Signal::SIGINT);
     run.finish().code(130);
     assert_gone(&dir);
-}
-
-fn copy(from: &Path, to: &Path) {
-    for (path, contents) in tree(from) {
-        let target = to.join(path.strip_prefix(from).unwrap());
-        match (contents, fs::read_link(&path)) {
-            (Some(bytes), _) => {
-                fs::create_dir_all(target.parent().unwrap()).unwrap();
-                fs::write(target, bytes).unwrap();
-            }
-            (None, Ok(link)) => std::os::unix::fs::symlink(link, target).unwrap(),
-            (None, Err(_)) => fs::create_dir_all(target).unwrap(),
-        }
-    }
 }

@@ -1,7 +1,7 @@
 //! What killed starts leave behind, and files that are not what they should be: the next command goes on, or says what is
 //! in its way, at once.
 
-use crate::util::{Place, Trace, start, trestle};
+use crate::util::{Place, Trace, copy, start, trestle};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 use std::fs;
@@ -11,21 +11,6 @@ use trestle_proto::rundir::RunDir;
 
 const SEED: [&str; 3] = ["maze-small", "--seed", "3"];
 const LIMIT: [&str; 2] = ["--env-steps", "700"];
-
-/// Copies the directory `from` to `to`.
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let (path, to) = (entry.as_ref().unwrap().path(), to.join(entry.unwrap().file_name()));
-        if path.is_symlink() {
-            symlink(fs::read_link(path).unwrap(), to).unwrap();
-        } else if path.is_dir() {
-            copy(&path, &to);
-        } else {
-            fs::copy(path, to).unwrap();
-        }
-    }
-}
 
 /// Removes from the run in `root` all that a start has not written yet which is killed after `made` files, and leaves the
 /// next one half-written.

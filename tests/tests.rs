@@ -31,3 +31,4 @@ mod schedule;
 mod shutdown;
 mod sweep;
 mod train;
+mod versions;

@@ -76,7 +76,7 @@ impl Resolved {
             Existing::Keep if occupied => {
                 bail!("{} exists; accepted: another --out, --resume, or --overwrite", root.display())
             }
-            Existing::Overwrite if occupied && !is_unborn(root) && dir.read_plan().is_err() => bail!(
+            Existing::Overwrite if occupied && !is_unborn(root) && !is_run(&dir) => bail!(
                 "--overwrite: {} holds something that is not a run (it has no readable plan.bin); remove it yourself",
                 root.display()
             ),
@@ -352,6 +352,11 @@ fn occupied(path: &Path) -> Result<bool> {
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
         Err(e) => Err(e).with_context(|| format!("cannot use {} as a run's directory", path.display())),
     }
+}
+
+/// Whether `dir` holds a run, of this version or another.
+fn is_run(dir: &RunDir) -> bool {
+    dir.read_plan().map_or_else(|error| error.other_version().is_some(), |_| true)
 }
 
 /// The number of the learner's start after `generation`.

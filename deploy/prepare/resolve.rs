@@ -3,11 +3,13 @@
 use super::possible;
 use super::probes::Needs;
 use anyhow::{Context, Result, bail, ensure};
+use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use trestle_actor::env::{Environment, registry};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise};
+use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Config, Demos, PLAN, Threshold};
 use trestle_proto::limits::MAX_TEXT_BYTES;
@@ -66,8 +68,12 @@ pub(crate) fn resolve(mut config: Config) -> Result<Resolved> {
 
 /// The run in `root` as it is to go on: with its own settings, map and demonstration, and the limits of `typed`, which
 /// must name the same settings.
+///
+/// # Errors
+/// There is no run, another minor version of the program made it, or `typed` has other settings.
 pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     let dir = RunDir::new(root);
+    check_version(&dir)?;
     let path = dir.config();
     let text =
         regular_file::read_to_string(&path, MAX_TEXT_BYTES).context("--resume: cannot read the run")?;
@@ -102,6 +108,25 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         );
     }
     Ok(resolved)
+}
+
+/// Refuses the run in `dir` if another minor version of the program made it: its checkpoints may mean something else, even where
+/// they look the same.
+fn check_version(dir: &RunDir) -> Result<()> {
+    if let Err(error) = dir.read_plan()
+        && error.other_version() == Some(Ordering::Greater)
+    {
+        bail!("--resume: {error}");
+    }
+    let minor = |version: &str| version.rsplit_once('.').map_or(version, |(minor, _)| minor).to_string();
+    let own = minor(env!("CARGO_PKG_VERSION"));
+    match checkpoint::newest_version(dir.root())? {
+        Some(version) if minor(&version) != own => bail!(
+            "--resume: {} is a run of version {version}; accepted: version {own}, or that version of the program",
+            dir.root().display()
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Where the run in `dir` keeps its own copy of the demonstration called `name`, one of `demos`.

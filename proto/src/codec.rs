@@ -4,6 +4,7 @@
 //! the body (`u32`), all little-endian, then the body.
 
 use serde::{Serialize, de::DeserializeOwned};
+use std::cmp::Ordering;
 
 /// Largest body that is read, bytes.
 pub const MAX_BODY: usize = 1 << 30;
@@ -32,12 +33,12 @@ pub enum CodecError {
         expected: usize,
     },
     /// Something else, or another version of it.
-    #[error("this is {found}; expected {expected}")]
+    #[error("this is {found}{}; expected {expected}", found.age(expected))]
     Kind {
         /// What the header says.
-        found: String,
+        found: Kind,
         /// What was asked for.
-        expected: String,
+        expected: Kind,
     },
     /// Damaged.
     #[error("checksum of {kind} is {found:08x}; its header says {expected:08x}")]
@@ -57,6 +58,29 @@ pub enum CodecError {
         /// What the decoder says.
         message: String,
     },
+}
+
+impl CodecError {
+    /// How the version of the frame compares with the expected one, if it holds what was asked for in another version.
+    pub fn other_version(&self) -> Option<Ordering> {
+        match self {
+            Self::Kind { found, expected } if found.magic == expected.magic => {
+                Some(found.version.cmp(&expected.version))
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Kind {
+    /// What a message adds to the name of this kind where `expected` was expected.
+    fn age(&self, expected: &Self) -> &'static str {
+        if self.magic == expected.magic && self.version > expected.version {
+            ", of a newer version of Trestle"
+        } else {
+            ""
+        }
+    }
 }
 
 impl std::fmt::Display for Kind {
@@ -88,7 +112,7 @@ pub fn decode<T: DeserializeOwned>(kind: Kind, frame: &[u8]) -> Result<T, CodecE
     magic.copy_from_slice(&head[..8]);
     let found = Kind { magic, version: word(8) };
     if found != kind {
-        return Err(CodecError::Kind { found: found.to_string(), expected: name() });
+        return Err(CodecError::Kind { found, expected: kind });
     }
     let length = u64::from(word(12)) | u64::from(word(16)) << 32;
     if length > MAX_BODY as u64 || length != body.len() as u64 {
@@ -139,8 +163,16 @@ mod tests {
     #[test]
     fn other_kinds_and_versions_are_named() {
         let frame = encode(KIND, &1u8).unwrap();
-        let newer = Kind { version: 4, ..KIND };
-        let message = decode::<u8>(newer, &frame).unwrap_err().to_string();
-        assert_eq!(message, "this is TESTTEST v3; expected TESTTEST v4");
+        let other = |kind| {
+            let error = decode::<u8>(kind, &frame).unwrap_err();
+            (error.to_string(), error.other_version())
+        };
+        let [older, newer] = [2, 4].map(|version| Kind { version, ..KIND });
+        let message = "this is TESTTEST v3; expected TESTTEST v4";
+        assert_eq!(other(newer), (message.into(), Some(Ordering::Less)));
+        let message = "this is TESTTEST v3, of a newer version of Trestle; expected TESTTEST v2";
+        assert_eq!(other(older), (message.into(), Some(Ordering::Greater)));
+        let message = "this is TESTTEST v3; expected OTHERONE v2";
+        assert_eq!(other(Kind { magic: *b"OTHERONE", version: 2 }), (message.into(), None));
     }
 }

@@ -6,6 +6,7 @@ use crate::codec::MAX_BODY;
 use crate::own_file;
 use crate::plan::RunPlan;
 use crate::regular_file::{self, FileError};
+use std::cmp::Ordering;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -61,6 +62,16 @@ pub enum RunDirError {
         /// What is wrong.
         source: crate::codec::CodecError,
     },
+}
+
+impl RunDirError {
+    /// How the version of the plan compares with this program's, if it is a plan of another version.
+    pub fn other_version(&self) -> Option<Ordering> {
+        match self {
+            Self::Plan { source, .. } => source.other_version(),
+            _ => None,
+        }
+    }
 }
 
 /// The directory of one run.

@@ -5,6 +5,7 @@
 //! [`MAX_POINTS`] is thinned out to every second point, and so on.
 
 use serde::Deserialize;
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -322,6 +323,12 @@ fn find(
 
 fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, String> {
     let dir = RunDir::new(path);
+    let plan = dir.read_plan();
+    if let Err(error) = &plan
+        && error.other_version() == Some(Ordering::Greater)
+    {
+        return Err(error.to_string());
+    }
     let file = dir.config();
     let text = regular_file::read_to_string(&file, MAX_TEXT_BYTES).map_err(|e| e.to_string())?;
     let config = config::parse_toml(&file.display().to_string(), &text).map_err(|e| e.to_string())?;
@@ -335,7 +342,6 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
             None
         }
     };
-    let plan = dir.read_plan();
     let start = plan.as_ref().ok().map(|plan| plan.run);
     let task = match &outcome {
         Some(outcome) => outcome.env.clone(),

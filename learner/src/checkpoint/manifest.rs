@@ -107,6 +107,14 @@ impl Life {
     }
 }
 
+/// The part of a MANIFEST that every version can read.
+#[derive(Deserialize)]
+pub(super) struct Head {
+    format: u32,
+    /// Version of the program that wrote it.
+    pub(super) version: String,
+}
+
 impl Manifest {
     /// The entry of file `name`, which [`read`] has made sure is there if it is one of every checkpoint's.
     pub(super) fn entry(&self, name: &str) -> Option<&FileEntry> {
@@ -130,10 +138,6 @@ impl Manifest {
 
     fn check(&self, path: &Path) -> Result<(), CheckpointError> {
         let refuse = |message: String| Err(contents(path)(message));
-        if !(OLDEST..=FORMAT).contains(&self.format) {
-            let (format, version) = (self.format, &self.version);
-            return refuse(format!("format {format} of version {version}; accepted: {OLDEST} to {FORMAT}"));
-        }
         for (at, entry) in self.files.iter().enumerate() {
             let name = entry.name.as_str();
             let known = FILES.contains(&name) || name == BEHAVIOUR || Span::of_name(name).is_some();
@@ -153,8 +157,8 @@ pub(super) fn seal(manifest: &[u8]) -> String {
     format!("{:08x}\n", crc32c::crc32c(manifest))
 }
 
-/// The MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE. The files themselves are not looked at.
-pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
+/// The bytes of the MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE.
+fn sealed(dir: &Path) -> Result<Vec<u8>, CheckpointError> {
     let complete = dir.join(COMPLETE);
     let sealed = match regular_file::read(&complete, MAX_BYTES) {
         Err(error) if error.is_not_found() => return Err(CheckpointError::Incomplete { path: complete }),
@@ -167,6 +171,23 @@ pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
         let sealed = sealed.escape_ascii();
         let message = format!("says {sealed} of a MANIFEST that has CRC-32C {}", computed.trim());
         return Err(contents(&complete)(message));
+    }
+    Ok(bytes)
+}
+
+/// The head of the MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE, in whichever format.
+pub(super) fn head(dir: &Path) -> Result<Head, CheckpointError> {
+    serde_json::from_slice(&sealed(dir)?).map_err(contents(&dir.join(MANIFEST)))
+}
+
+/// The MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE. The files themselves are not looked at.
+pub(super) fn read(dir: &Path) -> Result<Manifest, CheckpointError> {
+    let (path, bytes) = (dir.join(MANIFEST), sealed(dir)?);
+    // First of all: a newer format may have fields that this one does not know.
+    let Head { format, version } = serde_json::from_slice(&bytes).map_err(contents(&path))?;
+    if !(OLDEST..=FORMAT).contains(&format) {
+        let message = format!("format {format} of version {version}; accepted: {OLDEST} to {FORMAT}");
+        return Err(contents(&path)(message));
     }
     let manifest: Manifest = serde_json::from_slice(&bytes).map_err(contents(&path))?;
     manifest.check(&path)?;

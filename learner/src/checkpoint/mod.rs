@@ -46,6 +46,7 @@ pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
 pub use read::{
     LastLife, Loaded, load, load_actors, load_model, newest_complete, newest_life, newest_resumable,
+    newest_version,
 };
 pub use saver::Saver;
 pub use write::{Cut, Unsynced};

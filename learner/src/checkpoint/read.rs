@@ -57,6 +57,16 @@ pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, P
     })
 }
 
+/// Version of the program that wrote the newest complete checkpoint in `run_dir`, whatever its format is. None if there is no
+/// checkpoint.
+///
+/// # Errors
+/// The directory cannot be listed.
+pub fn newest_version(run_dir: &Path) -> Result<Option<String>, CheckpointError> {
+    let mut heads = ticks(run_dir)?.into_iter().map(|tick| manifest::head(&directory(run_dir, tick)));
+    Ok(heads.find_map(Result::ok).map(|head| head.version))
+}
+
 /// What the checkpoints in a run directory tell of the learners that wrote them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LastLife {
