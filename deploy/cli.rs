@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use trestle_mentor_server::import::{Columns, Episodes};
 use trestle_proto::config::{Algo, Config as Settings, Mode};
+use trestle_proto::incarnation::Incarnation;
 
 /// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
 #[derive(Debug, Parser)]
@@ -343,6 +344,6 @@ pub(crate) struct ActorRole {
     #[arg(long)]
     pub(crate) index: u32,
     /// How often it has been replaced; run.mode = free
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub(crate) incarnation: u32,
+    #[arg(long, value_name = "N", default_value_t)]
+    pub(crate) incarnation: Incarnation,
 }

@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use trestle_link::{ActorLink, LinkError, Stop, logging, pulse};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
+use trestle_proto::config::Mode;
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{HANDSHAKE, WAIT_SLICE};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
@@ -44,7 +46,12 @@ pub fn run(
         run: plan.run,
         rollout,
         orders: Orders::default(),
-        generation: plan.generation.into(),
+        // In free mode the plan may be of a later learner than the one whose supervisor started this process.
+        generation: if plan.config.run.mode == Mode::Free {
+            worker.incarnation().generation()
+        } else {
+            plan.generation
+        },
         sent: 0,
         played: 0,
         saved: 0,
@@ -94,7 +101,7 @@ struct Serving<'a, L> {
     /// The newest of this generation.
     orders: Orders,
     /// The start of the learner that this actor has announced itself to.
-    generation: u32,
+    generation: u16,
     /// Batches sent.
     sent: u64,
     /// Number of the last evaluation played.
@@ -117,7 +124,7 @@ impl<L: ActorLink> Serving<'_, L> {
         }
         let incarnation = self.worker.incarnation();
         self.reply(incarnation.into(), JOINED, Vec::new());
-        tracing::info!(incarnation, "ready");
+        tracing::info!(%incarnation, "ready");
         Ok(())
     }
 
@@ -131,7 +138,7 @@ impl<L: ActorLink> Serving<'_, L> {
         if orders.generation > self.generation {
             tracing::info!(generation = orders.generation, "another learner has come");
             self.generation = orders.generation;
-            self.worker.begin(self.generation << 16)?;
+            self.worker.begin(Incarnation::new(self.generation, 0))?;
             (self.sent, self.played, self.saved) = (0, 0, 0);
             (self.pending, self.unreachable) = (None, None);
             self.announce(stop)?;
@@ -212,5 +219,45 @@ impl<L: ActorLink> Serving<'_, L> {
         self.sent += u64::from(matches!(self.pending, Some(Message::Batch)));
         self.pending = None;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::worker::Worker;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::thread;
+    use trestle_link::{FromActor, LearnerLink, local};
+    use trestle_proto::incarnation::Incarnation;
+
+    /// The plan may be written anew, for the next learner, before an actor that was started earlier reads it.
+    #[test]
+    fn an_actor_of_the_former_learner_announces_itself_anew() {
+        let mut plan = crate::worker::tests::plan(&["run.mode=free"]);
+        plan.generation = 1;
+        let (mut learner, _mentor, mut links) = local::connect(&plan);
+        let over = AtomicBool::new(false);
+        thread::scope(|scope| {
+            let (plan, over) = (&plan, &over);
+            let mut link = links.remove(0);
+            scope.spawn(move || {
+                let mut worker = Worker::replacing(plan, 0, Incarnation::new(0, 1)).unwrap();
+                run(&mut link, plan, &mut worker, &|| over.load(Ordering::Relaxed)).unwrap();
+            });
+            let announced = |learner: &mut local::LocalLearner| match learner
+                .recv(&mut Batch::default(), 100 * WAIT_SLICE)
+                .unwrap()
+                .unwrap()
+            {
+                FromActor::Reply(reply) => (reply.header.kind, reply.header.number),
+                FromActor::Batch => panic!("a batch that was not granted"),
+            };
+            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(0, 1).into()));
+            learner.send_orders(&Orders { run: plan.run, generation: 1, ..Orders::default() }).unwrap();
+            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(1, 0).into()));
+            over.store(true, Ordering::Relaxed);
+        });
     }
 }

@@ -11,6 +11,7 @@ use trestle_link::pulse;
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
 use trestle_proto::orders::Collect;
 use trestle_proto::plan::RunPlan;
@@ -144,7 +145,7 @@ pub struct Worker {
     /// Actors of the run.
     actors: u32,
     /// See [`Worker::incarnation`].
-    incarnation: u32,
+    incarnation: Incarnation,
     seed: u64,
     exploration: config::Exploration,
     policy: Policy,
@@ -190,18 +191,23 @@ impl Worker {
     /// A configuration that gives no environment or no network, a plan whose spaces are not those of its
     /// environment, an index that the run does not have, or an environment whose first state is not finite.
     pub fn new(plan: &RunPlan, index: u32) -> Result<Self, ActorError> {
-        Self::with(plan, index, 0, Hazard::default())
+        Self::with(plan, index, Incarnation::default(), Hazard::default())
     }
 
     /// The same as incarnation `incarnation` of that actor, with random streams of its own, in a process of the run.
     ///
     /// # Errors
     /// As [`Worker::new`].
-    pub fn replacing(plan: &RunPlan, index: u32, incarnation: u32) -> Result<Self, ActorError> {
+    pub fn replacing(plan: &RunPlan, index: u32, incarnation: Incarnation) -> Result<Self, ActorError> {
         Self::with(plan, index, incarnation, plan.config.env.hazard)
     }
 
-    fn with(plan: &RunPlan, index: u32, incarnation: u32, hazard: Hazard) -> Result<Self, ActorError> {
+    fn with(
+        plan: &RunPlan,
+        index: u32,
+        incarnation: Incarnation,
+        hazard: Hazard,
+    ) -> Result<Self, ActorError> {
         let run = &plan.config.run;
         if index >= run.actors {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
@@ -248,7 +254,7 @@ impl Worker {
 
     /// What is counted together, in free mode: the number of the learner's start above that of the replacements of this
     /// actor since.
-    pub fn incarnation(&self) -> u32 {
+    pub fn incarnation(&self) -> Incarnation {
         self.incarnation
     }
 
@@ -256,7 +262,7 @@ impl Worker {
     ///
     /// # Errors
     /// An environment whose first state is not finite.
-    pub fn begin(&mut self, incarnation: u32) -> Result<(), ActorError> {
+    pub fn begin(&mut self, incarnation: Incarnation) -> Result<(), ActorError> {
         (self.incarnation, self.seq, self.first) = (incarnation, 0, true);
         self.reset()
     }
@@ -469,4 +475,4 @@ fn check_amount(what: &'static str, amount: u32) -> Result<(), ActorError> {
 
 #[cfg(test)]
 #[path = "worker_tests.rs"]
-mod tests;
+pub(crate) mod tests;

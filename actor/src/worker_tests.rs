@@ -5,7 +5,7 @@ use super::*;
 use trestle_proto::plan::MentorPart;
 use trestle_proto::waypoints::Waypoints;
 
-fn plan(overrides: &[&str]) -> RunPlan {
+pub(crate) fn plan(overrides: &[&str]) -> RunPlan {
     let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
     let mut config = config::load(registry(), "maze-small", &overrides).unwrap();
     registry().resolve(&mut config.env, config.run.seed).unwrap();
@@ -122,7 +122,7 @@ fn batches_are_complete_and_continuous() {
             first_seq: (t - 1) * 32,
             weights_version: t - 1,
             actor: 1,
-            incarnation: 0,
+            incarnation: Incarnation::default(),
             count: 32,
             obs_dim: 2,
         };
@@ -326,7 +326,7 @@ fn numbers_that_are_not_finite_are_refused_by_name() {
     let hazardous = |kind: &str| {
         let kind = format!("env.hazard.kind={kind}");
         let plan = corridor("S..G\n", &["run.actors=2", &kind, "env.hazard.after=20"]);
-        (Worker::replacing(&plan, 1, 0).unwrap(), random_params(&plan), plan)
+        (Worker::replacing(&plan, 1, Incarnation::default()).unwrap(), random_params(&plan), plan)
     };
     let (worker, params, plan) = hazardous("nan-reward");
     let refused = "the environment of actor 1 gave a reward = NaN after 20 steps; accepted: finite numbers";
@@ -371,12 +371,12 @@ fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
         ("training", Doing::Collecting),
         ("evaluation", Doing::Evaluating),
     ] {
-        let worker = Worker::replacing(&with(during), 0, 0).unwrap();
+        let worker = Worker::replacing(&with(during), 0, Incarnation::default()).unwrap();
         assert_eq!(refusal(worker, &west, doing), (2, refused.into()), "{during}");
     }
-    let mut training = Worker::replacing(&with("training"), 0, 0).unwrap();
+    let mut training = Worker::replacing(&with("training"), 0, Incarnation::default()).unwrap();
     assert!((1..10).all(|number| training.evaluate(&west, number, 1).is_ok()));
-    let mut evaluating = Worker::replacing(&with("evaluation"), 0, 0).unwrap();
+    let mut evaluating = Worker::replacing(&with("evaluation"), 0, Incarnation::default()).unwrap();
     assert_eq!(batches(&mut evaluating, &params, 1, 10, 8).len(), 10);
 }
 

@@ -20,6 +20,7 @@ use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
 use trestle_link::log_file;
 use trestle_proto::config::Mode;
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 
@@ -163,7 +164,7 @@ pub(super) fn start(
         Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
     };
     if let (Role::Actor(_), Mode::Free) = (role, prepared.plan().config.run.mode) {
-        let incarnation = (u32::from(prepared.plan().generation) << 16) | u32::from(replacements);
+        let incarnation = Incarnation::new(prepared.plan().generation, replacements);
         command.arg("--incarnation").arg(incarnation.to_string());
     }
     command.arg("--run").arg(dir.root()).arg("--watch-stdin");

@@ -19,6 +19,7 @@ use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::config::Mode;
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
 use trestle_proto::observe::{Answers, OBSERVE, ObserveRequest, Part, REBUILD, RESTORE};
@@ -92,7 +93,7 @@ fn welcome(
 /// The present incarnation of an actor.
 #[derive(Clone, Copy)]
 struct Seat {
-    incarnation: u32,
+    incarnation: Incarnation,
     /// Batches that have come.
     batches: u64,
     /// The actor's own number of its next transition.
@@ -105,7 +106,7 @@ enum Came {
     /// An actor of free mode has announced itself.
     Joined {
         actor: u32,
-        incarnation: u32,
+        incarnation: Incarnation,
     },
 }
 
@@ -145,14 +146,14 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         let (actors, barrier) = (run.actors as usize, run.mode != Mode::Free);
         // In lockstep every actor is there, and goes on from its snapshot.
         let next_seq = session.tick() * u64::from(run.rollout);
-        let seat = barrier.then_some(Seat { incarnation: 0, batches: 0, next_seq });
+        let seat = barrier.then_some(Seat { incarnation: Incarnation::default(), batches: 0, next_seq });
         Self {
             barrier,
             came: Vec::new(),
             spare: vec![Batch::with_capacity(run.rollout as usize, plan.spec.obs_dim()); actors],
             answers: Answers::default(),
             seats: vec![seat; actors],
-            orders: Orders { run: plan.run, generation: plan.generation.into(), ..Orders::default() },
+            orders: Orders { run: plan.run, generation: plan.generation, ..Orders::default() },
             snapshots: vec![None; actors],
             saved: plan.resume_tick,
             link,
@@ -164,13 +165,20 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     }
 
     fn run(mut self) -> Result<RunResult, RunError> {
-        self.session.start()?;
         if self.barrier && self.session.done() {
             // The checkpoint is the run's last one; only the result is missing.
+            self.session.start()?;
             return self.leave(false);
+        }
+        if !self.barrier {
+            self.session.start()?;
         }
         if self.plan.resume_tick.is_some() && self.plan.mentor_len() > 0 && !self.give_history(false)? {
             return self.leave(true);
+        }
+        if self.barrier {
+            // With all processes ready; in free mode there may be none for a while.
+            self.session.start()?;
         }
         self.begin()?;
         let lag = self.plan.config.run.lag == 1;
@@ -184,6 +192,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
                 self.dispatch(saving, leaving)?;
             }
             if !self.learn()? {
+                self.save()?;
                 return self.leave(true);
             }
             if self.session.done() {
@@ -284,7 +293,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             if self.barrier {
                 return unexpected(format!("a batch of incarnation {} of actor {actor}", header.incarnation));
             }
-            tracing::info!(actor, incarnation = header.incarnation, "a batch of a replaced actor is dropped");
+            tracing::info!(actor, incarnation = %header.incarnation, "a batch of a replaced actor is dropped");
             return Ok(false);
         };
         let (found, expected) = (header.first_seq, seat.next_seq);
@@ -345,8 +354,8 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
 
     /// An actor has announced itself. In lockstep it was expected.
     fn join(&mut self, actor: u32, number: u64) -> Result<(), RunError> {
-        let incarnation = u32::try_from(number).unwrap_or(u32::MAX);
-        let (generation, present) = (incarnation >> 16, u32::from(self.plan.generation));
+        let incarnation = Incarnation::from(u32::try_from(number).unwrap_or(u32::MAX));
+        let (generation, present) = (incarnation.generation(), self.plan.generation);
         let seat = &mut self.seats[actor as usize];
         let known = seat.is_some_and(|seat| seat.incarnation >= incarnation);
         if generation > present || (self.barrier && !known) {
@@ -356,7 +365,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         if generation == present && !known {
             *seat = Some(Seat { incarnation, batches: 0, next_seq: 0 });
             self.came.push(Came::Joined { actor, incarnation });
-            tracing::info!(actor, incarnation, "an actor has come");
+            tracing::info!(actor, %incarnation, "an actor has come");
         }
         Ok(())
     }
@@ -364,11 +373,14 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     /// Takes in what has come, and trains. False: there is no mentor-server, and the run is to end.
     fn learn(&mut self) -> Result<bool, RunError> {
         let before = self.session.agent().counters().env_steps;
+        let mut mentored = true;
         while !self.came.is_empty() {
             // In lockstep this is the whole tick.
             let count = self.came.len().min(self.seats.len());
-            if self.plan.mentor_len() > 0 && !self.observe(count)? {
-                return Ok(false);
+            mentored = self.plan.mentor_len() == 0 || self.past_end() || self.observe(count)?;
+            if !mentored || self.past_end() {
+                self.pass_over();
+                break;
             }
             let mut answers = self.answers.parts().iter();
             for came in self.came.drain(..count) {
@@ -389,7 +401,23 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         if self.session.agent().counters().env_steps > before {
             self.session.train(self.session.tick() + 1)?;
         }
-        Ok(true)
+        self.spare.truncate(self.seats.len());
+        Ok(mentored)
+    }
+
+    /// Free mode: whether the run has reached its end, so that no more batches count.
+    fn past_end(&self) -> bool {
+        !self.barrier && self.session.done()
+    }
+
+    /// Free mode: takes note of the actors that have come, and drops the batches.
+    fn pass_over(&mut self) {
+        for came in self.came.drain(..) {
+            match came {
+                Came::Joined { actor, incarnation } => self.session.joined(actor, incarnation),
+                Came::Batch(batch) => self.spare.push(batch),
+            }
+        }
     }
 
     /// Asks the mentor-server about the batches among the first `count` messages; in free mode another one if it dies
@@ -542,6 +570,9 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
                 return Ok(false);
             }
             self.next(WAIT_SLICE)?;
+            if !self.barrier {
+                self.pass_over();
+            }
         }
         Ok(true)
     }

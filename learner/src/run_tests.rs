@@ -3,11 +3,16 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::testing::{World, plan};
+use crate::testing::{World, demonstration, plan};
+use std::sync::mpsc::channel;
 use std::thread;
 use trestle_link::ActorLink;
 use trestle_link::local::{self, LocalActor};
+use trestle_link::{MentorHandler, MentorLink};
+use trestle_proto::NONE;
 use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
+use trestle_proto::observe::{ObserveAnswer, Observed};
+use trestle_proto::query::{OK, OUT_OF_ORDER, QueryAnswer};
 use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
 use trestle_proto::rundir::RunDir;
 
@@ -31,7 +36,7 @@ impl Played<'_> {
     fn sends(&mut self, incarnation: u32, first_seq: u64, count: u32) {
         let (mut batch, _) = self.world.batch(self.index, count);
         let run = self.plan.run;
-        batch.header = BatchHeader { run, incarnation, first_seq, ..batch.header };
+        batch.header = BatchHeader { run, incarnation: incarnation.into(), first_seq, ..batch.header };
         self.link.send_batch(&batch).unwrap();
     }
 
@@ -62,7 +67,8 @@ impl Played<'_> {
                 self.evaluates(orders.evaluation - 1, 0.0);
             }
             let share = orders.shares[self.index as usize];
-            if share.incarnation == incarnation && share.counted == batches && share.granted > batches {
+            if share.incarnation == incarnation.into() && share.counted == batches && share.granted > batches
+            {
                 return true;
             }
         }
@@ -212,4 +218,71 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
     session.evaluated(&Evaluation { evaluation: number, episodes: vec![episode] }).unwrap();
     let rows = std::fs::read_to_string(dir.evals()).unwrap();
     assert_eq!(rows.lines().last().unwrap().split(',').nth(1), Some("3"), "{rows}");
+}
+
+/// A mentor-server that finds nothing similar, and refuses a batch that does not continue its history.
+struct Strict {
+    mentor: MentorTransitions,
+    next_index: u64,
+}
+
+impl MentorHandler for Strict {
+    fn forget(&mut self) {}
+
+    fn observe(&mut self, request: &ObserveRequest, mut words: &[u32], out: &mut Vec<u32>) -> ObserveAnswer {
+        if request.first_index != self.next_index {
+            return ObserveAnswer { status: OUT_OF_ORDER, ..ObserveAnswer::default() };
+        }
+        while let Some(part) = Part::take(&mut words, 2) {
+            self.next_index += u64::from(part.count);
+            let mentor = vec![NONE; part.count as usize];
+            Observed { mentor, ..Observed::default() }.encode(2, out);
+        }
+        ObserveAnswer { first_index: request.first_index, ..ObserveAnswer::default() }
+    }
+
+    fn query(&mut self, request: &QueryRequest, _: &[f32], out: &mut Vec<u32>) -> QueryAnswer {
+        assert_eq!((request.op, request.first), (TRANSITIONS, 0));
+        (0..self.mentor.len()).for_each(|j| self.mentor.encode(j, out));
+        QueryAnswer { status: OK, count: self.mentor.len() as u32 }
+    }
+}
+
+/// Batches that come together with the one in which the run ends are not asked about, nor counted.
+#[test]
+fn a_run_with_a_mentor_ends_within_what_has_come() {
+    let sets =
+        ["run.algo=ha-diiqn", "run.mode=free", "run.rollout=4", "run.env_steps=6", "eval.every=1000000"];
+    let plan = plan(&sets);
+    let dir = tempfile::tempdir().unwrap();
+    let dir = RunDir::new(dir.path());
+    let (mut learner, mut mentor, mut actors) = local::connect(&plan);
+    let (over, is_over) = channel::<()>();
+    let result = thread::scope(|scope| {
+        let plan = &plan;
+        scope.spawn(move || {
+            let mut strict = Strict { mentor: demonstration(plan).unwrap(), next_index: 0 };
+            while is_over.try_recv() == Err(std::sync::mpsc::TryRecvError::Empty) {
+                // The learner's end is gone when the run is over.
+                if mentor.serve(&mut strict, WAIT_SLICE).is_err() {
+                    break;
+                }
+            }
+        });
+        let link = actors.remove(0);
+        let mut actor = Played { plan, index: 0, link, world: World::new(plan, 1) };
+        scope.spawn(move || {
+            actor.joins(0);
+            assert!(actor.is_counted(0, 0));
+            // The window; the run ends in the middle of the second.
+            actor.sends(0, 0, ROLLOUT);
+            actor.sends(0, 4, ROLLOUT);
+            let evaluation = awaits_evaluation(&mut actor);
+            actor.evaluates(evaluation, 0.0);
+        });
+        let result = run(&mut learner, plan, &dir, &|| false, |_| {});
+        drop((learner, over));
+        result
+    });
+    assert_eq!(result.unwrap().env_steps, 6);
 }

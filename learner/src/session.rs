@@ -17,6 +17,7 @@ use trestle_link::pulse;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::Mode;
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::orders::Collect;
@@ -233,7 +234,7 @@ impl<'a> Session<'a> {
 
     /// Free mode: incarnation `incarnation` of `actor` has come, and begins with an episode. That of the former one, if
     /// there was one, remains unfinished.
-    pub fn joined(&mut self, actor: u32, incarnation: u32) {
+    pub fn joined(&mut self, actor: u32, incarnation: Incarnation) {
         self.agent.abandon_episode(actor);
         self.actors.push(ActorRow { actor, incarnation, ..ActorRow::default() });
     }

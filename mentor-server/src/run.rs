@@ -108,6 +108,7 @@ impl Server<'_> {
                 _ => return Err(UNKNOWN_OP),
             }
             first += u64::from(part.count);
+            pulse::step();
         }
         if payload.is_empty() { Ok(cut_short) } else { Err(MALFORMED) }
     }

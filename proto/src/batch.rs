@@ -10,6 +10,7 @@
 //! | `count` | rewards, `f32` |
 //! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`], [`SUCCEEDED`] |
 
+use crate::incarnation::Incarnation;
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
@@ -45,7 +46,7 @@ pub struct BatchHeader {
     /// Index of the actor, from 0.
     pub actor: u32,
     /// How often this actor has been replaced, from 0.
-    pub incarnation: u32,
+    pub incarnation: Incarnation,
     /// Transitions in the batch.
     pub count: u32,
     /// Features of an observation.

@@ -7,6 +7,7 @@ pub mod annotation;
 pub mod batch;
 pub mod codec;
 pub mod config;
+pub mod incarnation;
 pub mod limits;
 pub mod mentor;
 pub mod message;

@@ -4,6 +4,7 @@
 //! In free mode an actor may be a window of batches ahead. Lockstep is the same with a barrier: one batch of each actor,
 //! and no new orders before all of them have come.
 
+use crate::incarnation::Incarnation;
 use crate::limits::{MAX_ACTORS, MAX_ROLLOUT};
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
@@ -17,7 +18,7 @@ pub struct Share {
     /// Batches that this incarnation may have sent in all.
     pub granted: u64,
     /// The incarnation that the other numbers are meant for; they mean nothing to another one.
-    pub incarnation: u32,
+    pub incarnation: Incarnation,
     /// 0.
     pub reserved: u32,
 }
@@ -53,9 +54,9 @@ pub struct Orders {
     pub stop: u32,
     /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]). The first orders of a later one than
     /// before mean that the learner has been replaced: it knows of no actor before that has announced itself anew.
-    pub generation: u32,
+    pub generation: u16,
     /// 0.
-    pub reserved: u32,
+    pub reserved: [u16; 3],
     /// Each actor's share, by its index.
     pub shares: [Share; MAX_ACTORS as usize],
 }
@@ -130,7 +131,7 @@ impl Orders {
     }
 
     /// Batches that incarnation `incarnation` of `actor` may have sent in all.
-    pub fn granted(&self, actor: u32, incarnation: u32) -> u64 {
+    pub fn granted(&self, actor: u32, incarnation: Incarnation) -> u64 {
         match self.shares.get(actor as usize) {
             Some(share) if share.incarnation == incarnation => share.granted,
             _ => 0,
@@ -157,11 +158,11 @@ mod tests {
     #[test]
     fn a_grant_is_for_one_incarnation() {
         let mut orders = Orders::default();
-        orders.shares[3] = Share { incarnation: 2, counted: 4, granted: 6, ..Share::default() };
+        orders.shares[3] = Share { incarnation: 2.into(), counted: 4, granted: 6, ..Share::default() };
         assert_eq!(
-            [(3, 2), (3, 1), (3, 3), (2, 2), (64, 2)].map(|(a, i)| orders.granted(a, i)),
+            [(3, 2), (3, 1), (3, 3), (2, 2), (64, 2)].map(|(a, i)| orders.granted(a, i.into())),
             [6, 0, 0, 0, 0]
         );
-        assert_eq!(orders.granted(2, 0), 0, "nothing is granted before an actor has announced itself");
+        assert_eq!(orders.granted(2, 0.into()), 0, "nothing is granted before an actor has announced itself");
     }
 }

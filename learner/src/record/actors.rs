@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::io::Write as _;
 use std::path::Path;
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::rundir::{ACTORS_FILE, Durable, write_atomically};
 
 const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max";
@@ -15,7 +16,7 @@ pub struct ActorRow {
     /// Index of the actor.
     pub actor: u32,
     /// Its incarnation.
-    pub incarnation: u32,
+    pub incarnation: Incarnation,
     /// Batches taken in.
     pub batches: u64,
     /// Their transitions that were counted and stored; fewer than the batches have only at the end of the run.
@@ -77,8 +78,13 @@ mod tests {
     #[test]
     fn a_row_says_what_was_counted() {
         let dir = tempfile::tempdir().unwrap();
-        let mut row =
-            ActorRow { actor: 1, incarnation: 65_536, batches: 2, env_steps: 64, ..ActorRow::default() };
+        let mut row = ActorRow {
+            actor: 1,
+            incarnation: Incarnation::new(1, 0),
+            batches: 2,
+            env_steps: 64,
+            ..ActorRow::default()
+        };
         row.staleness.add(1);
         row.staleness.add(4);
         write_actors(dir.path(), &[ActorRow::default(), row]).unwrap();

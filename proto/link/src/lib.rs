@@ -111,7 +111,7 @@ pub trait ActorLink {
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
     /// The newest published weights, checked, and their version; none if none of the learner's start `generation`, of
     /// version `at_least` or later, have come yet.
-    fn weights(&mut self, generation: u32, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError>;
+    fn weights(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.

@@ -144,9 +144,9 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_orders())
     }
 
-    fn weights(&mut self, generation: u32, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
+    fn weights(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
         self.update_weights()?;
-        let newest = self.newest.filter(|(of, version)| *of == generation && *version >= at_least);
+        let newest = self.newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &*self.copy)))
     }
 

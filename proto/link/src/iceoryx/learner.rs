@@ -217,11 +217,12 @@ impl IceoryxLearner {
         Ok(Some(FromActor::Batch))
     }
 
-    /// Sends a request of `words` words, which `fill` writes, to `mentor/observe`, waits for the answer, and hands its
+    /// Sends a request of `parts` parts and `words` words, which `fill` writes, to `mentor/observe`, waits for the answer, and hands its
     /// header and payload to `take`.
     fn ask_history<T>(
         &mut self,
         request: &ObserveRequest,
+        parts: usize,
         words: usize,
         fill: impl FnOnce(&mut [u32]),
         take: impl FnOnce(&ObserveAnswer, &[u32], &Services) -> Result<T, LinkError>,
@@ -232,6 +233,7 @@ impl IceoryxLearner {
         if self.mentor_waits {
             return Err(LOST);
         }
+        let deadline = OBSERVE_DEADLINE * parts as u32;
         let mut sending = self.observe.loan_slice(words).map_err(failed("loaning memory for a request"))?;
         fill(sending.payload_mut());
         sending.user_header_mut().0 = *request;
@@ -250,11 +252,11 @@ impl IceoryxLearner {
                 break answer;
             }
             // In free mode it is the supervisor that notices when it hangs, and replaces it.
-            if !self.services.sizes.replaces && start.elapsed() > OBSERVE_DEADLINE {
+            if !self.services.sizes.replaces && start.elapsed() > deadline {
                 return Err(LinkError::Deadline {
                     peer: "mentor-server".into(),
                     what: WHAT,
-                    waited_ms: OBSERVE_DEADLINE.as_millis(),
+                    waited_ms: deadline.as_millis(),
                 });
             }
             pulse::step();
@@ -327,7 +329,7 @@ impl LearnerLink for IceoryxLearner {
                 room = rest;
             }
         };
-        self.ask_history(request, words, fill, |answer, payload, Services { sizes, .. }| {
+        self.ask_history(request, parts.len(), words, fill, |answer, payload, Services { sizes, .. }| {
             let counts = parts.iter().map(|part| part.count as usize);
             Ok(into.receive(answer, payload, counts, sizes.obs_dim, sizes.mentor_len)?)
         })
@@ -335,7 +337,7 @@ impl LearnerLink for IceoryxLearner {
 
     fn teach(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), LinkError> {
         let fill = |room: &mut [u32]| room.copy_from_slice(payload);
-        self.ask_history(request, payload.len(), fill, |_, _, _| Ok(()))
+        self.ask_history(request, 1, payload.len(), fill, |_, _, _| Ok(()))
     }
 
     fn query(

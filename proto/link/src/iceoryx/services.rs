@@ -84,7 +84,8 @@ impl Sizes {
 
     /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
     pub fn observe_answer_words(&self) -> usize {
-        self.actors * (self.batch_words + 1) + self.annotation_rows() * record_words(self.obs_dim)
+        let rollout = self.batch_words / batch::words(1, self.obs_dim);
+        self.actors * (rollout + 1) + self.annotation_rows() * record_words(self.obs_dim)
     }
 
     /// Words of the largest answer of `mentor/query`.
