@@ -46,6 +46,7 @@ impl Kind for Balance {
             high: vec![settings.width as f32],
             scale: vec![1.0],
             integral: true,
+            velocities: Vec::new(),
             actions: vec!["left".into(), "right".into()],
             best_return: None,
             goal_bonus: 0.0,

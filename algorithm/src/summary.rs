@@ -12,6 +12,12 @@
 //! hardly overlap. `e_infeas`: the median KL of states one step apart. An observer transition counts as the mentor's
 //! if it misses it by no more than half a mentor step. Pairs of equal states are left out of the medians: a mentor
 //! that waits says nothing of its speed.
+//!
+//! With inertia a step is mostly the body's own: it goes on as it did, whatever is done. Where changes of states are compared
+//! (`mentor.metric = "delta"`) and states have velocities, `e_infeas` is therefore taken from what the mentor's actions did, the
+//! changes of its velocities, as a quarter of the KL of its *middle push*. A mentor may coast most of the time, and the median of
+//! its changes would be next to nothing. So the middle is that of the sum: changes no smaller add up to half of all change. An
+//! observer that misses the mentor's change by no more than half of such a push passes, and one that coasts instead does not.
 
 use crate::demonstration::Demonstration;
 use crate::similarity::metric::{Metric, kl};
@@ -34,6 +40,9 @@ pub struct Summary {
     pub features: Vec<(String, f32, f32)>,
     /// KL between mentor states 1, 2, ... mentor steps apart, as far as any trajectory has such pairs.
     pub apart: Vec<Apart>,
+    /// The KL of the middle push: of the velocities' changes over one mentor step, those no smaller add up to half of the sum
+    /// of all, as distances. None if it was not asked for, or no velocity changes.
+    pub pushed: Option<f32>,
 }
 
 /// Smallest, middle and largest of some values; of an even number of them the lower middle one.
@@ -72,8 +81,8 @@ pub struct Auto {
 }
 
 /// Looks a demonstration over. `metric` must be for its number of features; `n` is the largest number of steps that
-/// mentor states are compared over.
-pub fn summarise(demo: &Demonstration, metric: &Metric, n: usize) -> Summary {
+/// mentor states are compared over. `velocities`: the features from which `e_infeas` is taken; empty: from all.
+pub fn summarise(demo: &Demonstration, metric: &Metric, n: usize, velocities: &[usize]) -> Summary {
     let count = demo.n_trajectories();
     let whitened = metric.whiten_all(demo.states());
     let apart = (1..=n).map_while(|steps| apart(demo, &whitened, steps)).collect();
@@ -91,10 +100,32 @@ pub fn summarise(demo: &Demonstration, metric: &Metric, n: usize) -> Summary {
             .unwrap_or_default(),
         features: demo.names().iter().enumerate().map(feature).collect(),
         apart,
+        pushed: pushed(demo, metric, velocities),
     }
 }
 
-fn apart(demo: &Demonstration, whitened: &[f32], steps: usize) -> Option<Apart> {
+/// See [`Summary::pushed`].
+fn pushed(demo: &Demonstration, metric: &Metric, velocities: &[usize]) -> Option<f32> {
+    if velocities.is_empty() {
+        return None;
+    }
+    // Whitening is linear: with all else 0, differences are those of the velocities alone.
+    let mut states = vec![0.0; demo.states().len()];
+    for (masked, state) in states.chunks_exact_mut(demo.dim()).zip(demo.states().chunks_exact(demo.dim())) {
+        velocities.iter().for_each(|&feature| masked[feature] = state[feature]);
+    }
+    let changes = steps_apart(demo, &metric.whiten_all(&states), 1);
+    // The square root of the KL is a distance, up to a factor.
+    let mut rest = 0.5 * changes.iter().map(|&kl| f64::from(kl).sqrt()).sum::<f64>();
+    let middle = changes.into_iter().find(|&kl| {
+        rest -= f64::from(kl).sqrt();
+        rest <= 0.0
+    });
+    middle.filter(|&kl| kl > 0.0)
+}
+
+/// The KL of all states that are `steps` apart, ascending.
+fn steps_apart(demo: &Demonstration, whitened: &[f32], steps: usize) -> Vec<f32> {
     let state = |m: usize| &whitened[m * demo.dim()..][..demo.dim()];
     let pairs = (0..demo.n_trajectories()).flat_map(|i| {
         let states = demo.trajectory(i);
@@ -102,6 +133,11 @@ fn apart(demo: &Demonstration, whitened: &[f32], steps: usize) -> Option<Apart> 
     });
     let mut values: Vec<f32> = pairs.collect();
     values.sort_unstable_by(f32::total_cmp);
+    values
+}
+
+fn apart(demo: &Demonstration, whitened: &[f32], steps: usize) -> Option<Apart> {
+    let values = steps_apart(demo, whitened, steps);
     let last = values.len().checked_sub(1)?;
     let tenths = [values[last / 10], values[last - last / 10]];
     let different = values[values.partition_point(|&kl| kl == 0.0)..].to_vec();
@@ -120,7 +156,7 @@ impl Summary {
     pub fn auto(&self) -> Option<Auto> {
         let quarter = |kl: f32| f64::from(kl) / 4.0;
         let nearest = self.apart.iter().filter_map(|apart| apart.moving).reduce(f32::min)?;
-        let step = self.apart.first().and_then(|apart| apart.moving).unwrap_or(nearest);
+        let step = self.pushed.or_else(|| self.apart.first()?.moving).unwrap_or(nearest);
         Some(Auto { e_th: quarter(nearest), e_infeas: quarter(step) })
     }
 
@@ -137,10 +173,14 @@ impl Summary {
                 far = swallowed.kl.median,
             )
         });
-        let still = (f64::from(one) < e_infeas).then(|| {
+        let (step, of, stays) = match self.pushed {
+            Some(pushed) => (pushed, "KL of the mentor's middle push", "coasts along"),
+            None => (one, "median KL of one mentor step", "stays where it is"),
+        };
+        let still = (f64::from(step) < e_infeas).then(|| {
             format!(
-                "mentor.e_infeas = {e_infeas} is more than the median KL of one mentor step, {one}: an observer that \
-                 stays where it is does what the mentor did. Accepted without this warning: up to {one}, or auto"
+                "mentor.e_infeas = {e_infeas} is more than the {of}, {step}: an observer that {stays} does \
+                 what the mentor did. Accepted without this warning: up to {step}, or auto"
             )
         });
         swallowed.into_iter().chain(still).collect()
@@ -180,7 +220,7 @@ mod tests {
         let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
         demo.push_trajectory(&[0.0, 1.0, 2.0, 3.0], true).unwrap();
         demo.push_trajectory(&[10.0, 12.0], false).unwrap();
-        summarise(&demo, &Metric::diagonal(&[1.0]).unwrap(), 8)
+        summarise(&demo, &Metric::diagonal(&[1.0]).unwrap(), 8, &[])
     }
 
     #[test]
@@ -203,7 +243,7 @@ mod tests {
     fn along(states: &[f32]) -> Summary {
         let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
         demo.push_trajectory(states, false).unwrap();
-        summarise(&demo, &Metric::diagonal(&[1.0]).unwrap(), 2)
+        summarise(&demo, &Metric::diagonal(&[1.0]).unwrap(), 2, &[])
     }
 
     #[test]
@@ -219,6 +259,32 @@ mod tests {
         assert!(along(&[0.0, 2.0, 4.0]).warnings(auto.e_th, auto.e_infeas).is_empty());
         assert_eq!(along(&[7.0, 7.0, 7.0]).auto(), None);
         assert!(along(&[7.0, 7.0]).to_string().contains("auto          none"));
+    }
+
+    #[test]
+    fn with_inertia_it_is_half_of_a_push() {
+        let mut demo = Demonstration::new(vec!["x".into(), "v".into()]).unwrap();
+        // It speeds up by 1, twice, coasts, and slows down by 1: positions change by up to 4 a step.
+        demo.push_trajectory(&[0.0, 2.0, 2.0, 3.0, 5.0, 4.0, 9.0, 4.0, 13.0, 3.0], false).unwrap();
+        // And then it is slowed down by next to nothing, for long: less than all of its pushes together.
+        let braked: Vec<f32> = (0..20).flat_map(|i| [4.0 * i as f32, 4.0 - 0.01 * i as f32]).collect();
+        demo.push_trajectory(&braked, false).unwrap();
+        let metric = Metric::diagonal(&[1.0, 1.0]).unwrap();
+        let whole = summarise(&demo, &metric, 1, &[]).auto().unwrap();
+        let summary = summarise(&demo, &metric, 1, &[1]);
+        assert_eq!(summary.pushed, Some(0.5));
+        assert_eq!(summary.auto().unwrap(), Auto { e_infeas: 0.125, ..whole });
+        assert!(whole.e_infeas > 0.5, "coasting would pass: {whole:?}");
+        let warnings = summary.warnings(whole.e_th, 0.6);
+        let [text] = &warnings[..] else { panic!("{warnings:?}") };
+        assert!(
+            text.contains("0.6 is more than the KL of the mentor's middle push, 0.5")
+                && text.contains("coasts")
+        );
+        // A mentor that never changes its velocity leaves its steps.
+        let mut coasting = Demonstration::new(vec!["x".into(), "v".into()]).unwrap();
+        coasting.push_trajectory(&[0.0, 1.0, 1.0, 1.0, 2.0, 1.0], false).unwrap();
+        assert_eq!(summarise(&coasting, &metric, 1, &[1]).pushed, None);
     }
 
     #[test]

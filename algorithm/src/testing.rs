@@ -36,6 +36,7 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         high: vec![4.0; 2],
         scale: vec![1.0; 2],
         integral: true,
+        velocities: Vec::new(),
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
         goal_bonus: 0.0,
@@ -143,7 +144,7 @@ impl World {
         let (action, reward) = (self.rng.random_range(0..N_ACTIONS), self.rng.random_range(-2..=2) as f32);
         if self.rng.random() {
             let e_kl = self.rng.random_range(0.0f32..0.3).min(self.table.errors()[j]);
-            self.table.set_estimate(j, &Estimate { action, e_kl, reward });
+            self.table.set_estimate(j, &Estimate { action, e_kl, start_kl: 0.0, reward });
         } else {
             let (next_obs, terminated) = (self.state(), self.rng.next_u32().is_multiple_of(4));
             let bridge = Bridge { action, length: 2, reward, end_kl: 0.0, next_obs: &next_obs, terminated };

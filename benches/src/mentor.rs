@@ -25,7 +25,7 @@ use trestle_algorithm::similarity::Similarity;
 use trestle_algorithm::similarity::metric::{Metric, kl};
 use trestle_bench::walk::{Walk, World};
 use trestle_proto::annotation::{AnnotationTable, Estimate};
-use trestle_proto::config::MetricKind;
+use trestle_proto::config::{InferenceKind, MetricKind};
 
 const DIMS: [usize; 2] = [2, 4];
 /// Sizes for figures, and for a quick look.
@@ -142,7 +142,7 @@ fn similar<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>>
 fn infer<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>> {
     let (dim, states) = (world.dim, demonstration.states());
     let order = demonstration.order();
-    let mut inference = Inference::new(MetricKind::Kl, states, dim, &order);
+    let mut inference = Inference::new(MetricKind::Kl, InferenceKind::Any, states, dim, &order);
     let mut table = half_feasible(&order, dim);
     inference.restore(table.errors());
     let mut seen = Seen::new(world);
@@ -162,7 +162,7 @@ fn infer<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>> {
             let (s, s_next) = states[order.state_of(j) * dim..][..2 * dim].split_at(dim);
             let e_kl = kl(state, s) + kl(next, s_next);
             if e_kl < table.errors()[j] {
-                table.set_estimate(j, &Estimate { action: 0, e_kl, reward: -0.04 });
+                table.set_estimate(j, &Estimate { action: 0, e_kl, start_kl: 0.0, reward: -0.04 });
             }
         }
         black_box(&table);
@@ -175,7 +175,7 @@ fn infer<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>> {
 fn half_feasible(order: &Order, dim: usize) -> AnnotationTable {
     let mut table = AnnotationTable::new(order.n_transitions(), dim, 2 * dim);
     for j in 0..order.n_transitions() {
-        table.set_estimate(j, &Estimate { action: 0, e_kl: ERRORS[j % 2], reward: -0.04 });
+        table.set_estimate(j, &Estimate { action: 0, e_kl: ERRORS[j % 2], start_kl: 0.0, reward: -0.04 });
     }
     table
 }

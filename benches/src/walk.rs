@@ -57,6 +57,7 @@ impl World {
             high: vec![self.side as f32; self.dim],
             scale: vec![1.0; self.dim],
             integral: self.jitter == 0.0,
+            velocities: Vec::new(),
             actions: (0..2 * self.dim).map(|action| action.to_string()).collect(),
             best_return: None,
             goal_bonus: 0.0,

@@ -11,7 +11,7 @@ use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Config, Demos, PLAN, Threshold};
+use trestle_proto::config::{self, Config, Demos, MetricKind, PLAN, Threshold};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::regular_file;
@@ -93,6 +93,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.mentor.demo = demo.map_files(|name, _| copy_of(&dir, &demo, name).display().to_string());
     let mut resolved = meet(own)?;
     resolved.config.mentor.demo = demo;
+    typed.mentor.metric = typed.mentor.metric.of(&resolved.spec);
     let own = &resolved.config;
     if let Some(mentors) = &resolved.mentors {
         mentors.resolve_thresholds(&mut typed.mentor)?;
@@ -139,6 +140,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
     let env = registry().build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
+    config.mentor.metric = config.mentor.metric.of(&spec);
     let mentors = if config.needs_demonstration() {
         let mentors = mentors(&config, env.as_ref())?;
         mentors.resolve_thresholds(&mut config.mentor)?;
@@ -174,7 +176,8 @@ fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
     let mentor = &config.mentor;
     let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &env.spec().scale, all.states())?;
-    let summary = summarise(&all, &metric, mentor.n as usize);
+    let velocities = if mentor.metric == MetricKind::Delta { &env.spec().velocities[..] } else { &[] };
+    let summary = summarise(&all, &metric, mentor.n as usize, velocities);
     Ok(Mentors { each, all, summary, warnings })
 }
 

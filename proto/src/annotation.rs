@@ -1,13 +1,13 @@
 //! Annotations: what the observer has found out about each mentor transition.
 //!
 //! The mentor-server owns the table; the learner keeps a mirror, brought up to date by the changed records of every
-//! answer. A record travels as [`record_words`] 32-bit words: mentor index, a_est, e_KL (`f32`), r_est (`f32`),
-//! l_feas, a_feas, r_feas (`f32`), end KL (`f32`), bridge flags, then the `obs_dim` features of s_feas (`f32`).
+//! answer. A record travels as [`record_words`] 32-bit words: mentor index, a_est, e_KL (`f32`), start KL (`f32`), r_est
+//! (`f32`), l_feas, a_feas, r_feas (`f32`), end KL (`f32`), bridge flags, then the `obs_dim` features of s_feas (`f32`).
 
 use crate::NONE;
 use bytemuck::{cast_slice, cast_slice_mut};
 
-const FIXED_WORDS: usize = 9;
+const FIXED_WORDS: usize = 10;
 /// The bridge's first step ended its episode in a terminal state, so s_feas has no value.
 const FEAS_TERMINATED: u32 = 1;
 
@@ -23,7 +23,9 @@ pub struct Estimate {
     pub action: u32,
     /// e_KL of that transition, not negative.
     pub e_kl: f32,
-    /// r_est: the reward that the observer got for it (ties keep the higher).
+    /// KL between the state that it began in and s_m, not negative: 0 if it began in s_m itself.
+    pub start_kl: f32,
+    /// r_est: the reward that the observer got for it (between equally good ones from the same state the highest).
     pub reward: f32,
 }
 
@@ -76,6 +78,7 @@ pub struct AnnotationTable {
     n_actions: usize,
     a_est: Vec<u32>,
     e_kl: Vec<f32>,
+    start_kl: Vec<f32>,
     r_est: Vec<f32>,
     l_feas: Vec<u32>,
     a_feas: Vec<u32>,
@@ -93,6 +96,7 @@ impl AnnotationTable {
             n_actions,
             a_est: vec![NONE; len],
             e_kl: vec![f32::INFINITY; len],
+            start_kl: vec![f32::INFINITY; len],
             r_est: vec![0.0; len],
             l_feas: vec![0; len],
             a_feas: vec![NONE; len],
@@ -123,6 +127,7 @@ impl AnnotationTable {
         (self.a_est[j] != NONE).then(|| Estimate {
             action: self.a_est[j],
             e_kl: self.e_kl[j],
+            start_kl: self.start_kl[j],
             reward: self.r_est[j],
         })
     }
@@ -143,6 +148,7 @@ impl AnnotationTable {
     pub fn set_estimate(&mut self, j: usize, estimate: &Estimate) {
         self.a_est[j] = estimate.action;
         self.e_kl[j] = estimate.e_kl;
+        self.start_kl[j] = estimate.start_kl;
         self.r_est[j] = estimate.reward;
     }
 
@@ -162,6 +168,7 @@ impl AnnotationTable {
             j as u32,
             self.a_est[j],
             self.e_kl[j].to_bits(),
+            self.start_kl[j].to_bits(),
             self.r_est[j].to_bits(),
             self.l_feas[j],
             self.a_feas[j],
@@ -186,12 +193,13 @@ impl AnnotationTable {
             let j = r[0] as usize;
             self.a_est[j] = r[1];
             self.e_kl[j] = f32::from_bits(r[2]);
-            self.r_est[j] = f32::from_bits(r[3]);
-            self.l_feas[j] = r[4];
-            self.a_feas[j] = r[5];
-            self.r_feas[j] = f32::from_bits(r[6]);
-            self.end_kl[j] = f32::from_bits(r[7]);
-            self.flags[j] = r[8];
+            self.start_kl[j] = f32::from_bits(r[3]);
+            self.r_est[j] = f32::from_bits(r[4]);
+            self.l_feas[j] = r[5];
+            self.a_feas[j] = r[6];
+            self.r_feas[j] = f32::from_bits(r[7]);
+            self.end_kl[j] = f32::from_bits(r[8]);
+            self.flags[j] = r[9];
             let s = &mut self.s_feas[j * self.obs_dim..][..self.obs_dim];
             cast_slice_mut::<f32, u32>(s).copy_from_slice(&r[FIXED_WORDS..]);
         }
@@ -205,28 +213,28 @@ impl AnnotationTable {
         if r[0] as usize >= self.len() {
             return refuse("index", f64::from(r[0]), format!("below {}", self.len()));
         }
-        for (what, action) in [("a_est", r[1]), ("a_feas", r[5])] {
+        for (what, action) in [("a_est", r[1]), ("a_feas", r[6])] {
             if action != NONE && action as usize >= self.n_actions {
                 return refuse(what, f64::from(action), format!("below {}, or none", self.n_actions));
             }
         }
-        for (what, word) in [("e_KL", r[2]), ("end KL", r[7])] {
+        for (what, word) in [("e_KL", r[2]), ("start KL", r[3]), ("end KL", r[8])] {
             let kl = f32::from_bits(word);
             if kl.is_nan() || kl < 0.0 {
                 return refuse(what, f64::from(kl), "0 or more".into());
             }
         }
-        for (what, word) in [("r_est", r[3]), ("r_feas", r[6])] {
+        for (what, word) in [("r_est", r[4]), ("r_feas", r[7])] {
             let reward = f32::from_bits(word);
             if !reward.is_finite() {
                 return refuse(what, f64::from(reward), "finite numbers".into());
             }
         }
-        if (r[4] == 0) != (r[5] == NONE) {
-            return refuse("l_feas", f64::from(r[4]), "0 exactly where a_feas is none".into());
+        if (r[5] == 0) != (r[6] == NONE) {
+            return refuse("l_feas", f64::from(r[5]), "0 exactly where a_feas is none".into());
         }
-        if r[8] & !FEAS_TERMINATED != 0 {
-            return refuse("flags", f64::from(r[8]), "0 or 1".into());
+        if r[9] & !FEAS_TERMINATED != 0 {
+            return refuse("flags", f64::from(r[9]), "0 or 1".into());
         }
         match r[FIXED_WORDS..].iter().map(|&w| f32::from_bits(w)).find(|x| !x.is_finite()) {
             Some(x) => refuse("s_feas", f64::from(x), "finite numbers".into()),
@@ -246,7 +254,7 @@ mod tests {
         let mut table = AnnotationTable::new(3, 2, 4);
         assert_eq!(table.estimate(1), None);
         assert_eq!(table.bridge(1), None);
-        table.set_estimate(1, &Estimate { action: 2, e_kl: 0.25, reward: -0.04 });
+        table.set_estimate(1, &Estimate { action: 2, e_kl: 0.25, start_kl: 0.125, reward: -0.04 });
         let bridge = Bridge {
             action: 3,
             length: 4,
@@ -271,7 +279,7 @@ mod tests {
             let mut table = AnnotationTable::new(5, 2, 4);
             if table.apply(&words).is_ok() {
                 for j in 0..5 {
-                    prop_assert!(table.estimate(j).is_none_or(|e| e.action < 4 && e.e_kl >= 0.0));
+                    prop_assert!(table.estimate(j).is_none_or(|e| e.action < 4 && e.e_kl >= 0.0 && e.start_kl >= 0.0));
                     prop_assert!(table.bridge(j).is_none_or(|b| b.action < 4 && b.length > 0));
                 }
             }

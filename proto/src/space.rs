@@ -16,6 +16,9 @@ pub struct EnvSpec {
     pub scale: Vec<f32>,
     /// Whether every feature takes whole numbers only (needed for the one-hot encoding).
     pub integral: bool,
+    /// Features that are velocities of others, ascending; empty where an action shows in the next state at once. Where there
+    /// are some, `mentor.metric = "auto"` compares changes of states.
+    pub velocities: Vec<usize>,
     /// Names of the discrete actions; their number is the size of the action space.
     pub actions: Vec<String>,
     /// The best return that is possible, where it is known.
@@ -44,6 +47,18 @@ pub enum SpaceError {
         name: String,
         /// What it says.
         n: usize,
+    },
+    /// A feature that is said to be a velocity.
+    #[error(
+        "environment {name}: velocities {velocities:?}; accepted: features below {dim}, each once, in ascending order"
+    )]
+    Velocities {
+        /// Name of the environment.
+        name: String,
+        /// What it says.
+        velocities: Vec<usize>,
+        /// Features of an observation.
+        dim: usize,
     },
     /// Bounds or scale of a feature.
     #[error(
@@ -120,6 +135,11 @@ impl EnvSpec {
         }
         if !(2..=MAX_ACTIONS).contains(&self.n_actions()) {
             return Err(SpaceError::Actions { name: self.name.clone(), n: self.n_actions() });
+        }
+        let ascending = self.velocities.is_sorted_by(|a, b| a < b);
+        if !ascending || self.velocities.last().is_some_and(|&last| last >= dim) {
+            let velocities = self.velocities.clone();
+            return Err(SpaceError::Velocities { name: self.name.clone(), velocities, dim });
         }
         for (index, ((&low, &high), &scale)) in self.low.iter().zip(&self.high).zip(&self.scale).enumerate() {
             let sound = low.is_finite() && high.is_finite() && scale.is_finite() && low < high && scale > 0.0;

@@ -305,7 +305,7 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
         places[a] = if end < 2 { (0, 0) } else { next };
         if i == 40 {
             // From here on no bridge is looked for there.
-            table.set_estimate(0, &Estimate { action: 0, e_kl: 0.0, reward: 0.0 });
+            table.set_estimate(0, &Estimate { action: 0, e_kl: 0.0, start_kl: 0.0, reward: 0.0 });
         }
         for j in (0..order.n_transitions()).filter(|&j| table.errors()[j] >= rule.e_infeas) {
             let at = (&bench.history, index, j);

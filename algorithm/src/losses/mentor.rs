@@ -109,9 +109,9 @@ mod tests {
         let mut transitions = MentorTransitions::new(1);
         (0..5).for_each(|j| transitions.push(&[j as f32], &[j as f32 + 1.0], j == 1));
         let mut table = AnnotationTable::new(5, 1, 4);
-        table.set_estimate(1, &Estimate { action: 2, e_kl: 0.05, reward: -0.1 });
-        table.set_estimate(2, &Estimate { action: 3, e_kl: 0.1, reward: -0.2 });
-        table.set_estimate(3, &Estimate { action: 1, e_kl: 0.5, reward: -0.3 });
+        table.set_estimate(1, &Estimate { action: 2, e_kl: 0.05, start_kl: 0.0, reward: -0.1 });
+        table.set_estimate(2, &Estimate { action: 3, e_kl: 0.1, start_kl: 0.0, reward: -0.2 });
+        table.set_estimate(3, &Estimate { action: 1, e_kl: 0.5, start_kl: 0.0, reward: -0.3 });
         for j in [3, 4] {
             let next_obs = &[9.0];
             let bridge =

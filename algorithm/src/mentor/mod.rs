@@ -186,7 +186,7 @@ impl Mentor {
             bridging,
             transitions: demo.transitions(),
             metric,
-            inference: Inference::new(config.metric, &whitened, dim, &order),
+            inference: Inference::new(config.metric.of(spec), config.inference, &whitened, dim, &order),
             similarity: Similarity::new(whitened, dim, e_th),
             table: AnnotationTable::new(count, dim, spec.n_actions()),
             infeasible: count,

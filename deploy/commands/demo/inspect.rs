@@ -53,7 +53,7 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
                 demonstration.states(),
             )?;
             outln!("{} by itself, KL in standard deviations of its own features", file.display());
-            outln!("{}", summarise(&demonstration, &metric, n as usize).to_string().trim_end());
+            outln!("{}", summarise(&demonstration, &metric, n as usize, &[]).to_string().trim_end());
             outln!("With --config PRESET|CONFIG.TOML: the metric of that, its thresholds and its map");
             picture(args, &demonstration, false, None)
         }

@@ -79,7 +79,7 @@ mod tests {
             feasible: false,
             bridge: None,
         };
-        let estimate = Some(Estimate { action: 3, e_kl: 0.25, reward: -0.04 });
+        let estimate = Some(Estimate { action: 3, e_kl: 0.25, start_kl: 0.0, reward: -0.04 });
         let bridge = Some(Bridge {
             action: 1,
             length: 2,

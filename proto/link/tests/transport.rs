@@ -37,6 +37,7 @@ fn plan(run: u64) -> RunPlan {
         high: vec![9.0; 2],
         scale: vec![1.0; 2],
         integral: true,
+        velocities: Vec::new(),
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
         goal_bonus: 0.0,
@@ -113,7 +114,10 @@ impl MentorHandler for Canned {
             let header = BatchHeader { count: part.count, obs_dim: request.obs_dim, ..Default::default() };
             batch.receive(header, part.payload, 2, 3).unwrap();
             let mut table = AnnotationTable::new(MENTOR, 2, 3);
-            table.set_estimate(part.actor as usize, &Estimate { action: 1, e_kl: 0.5, reward: -1.0 });
+            table.set_estimate(
+                part.actor as usize,
+                &Estimate { action: 1, e_kl: 0.5, start_kl: 0.0, reward: -1.0 },
+            );
             let mut answer = Observed::default();
             answer.mentor.extend(batch.actions().iter().map(|&a| if a == 0 { 1 } else { NONE }));
             table.encode(part.actor as usize, &mut answer.changed);

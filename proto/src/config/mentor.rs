@@ -3,6 +3,7 @@
 use super::accepts::{Accepts, above, any, at_least, between};
 use super::{Demos, PLAN, Threshold};
 use crate::limits::MAX_BRIDGE_DEPTH;
+use crate::space::EnvSpec;
 use crate::{choices, settings};
 
 settings! {
@@ -14,7 +15,9 @@ settings! {
         /// With `demo = "plan"`: name of the mentor's action set.
         actions: String = "regular".into(), any("as `env.actions`");
         /// What e_KL compares.
-        metric: MetricKind = MetricKind::Kl;
+        metric: MetricKind = MetricKind::Auto;
+        /// Which transitions of the observer may say what the mentor did in s_m.
+        inference: InferenceKind = InferenceKind::Similar;
         /// The covariance Σ of the state distance.
         covariance: CovarianceKind = CovarianceKind::Space;
         /// Smallest standard deviation of a feature that is estimated from a demonstration.
@@ -68,10 +71,35 @@ settings! {
 choices! {
     /// What e_KL compares.
     pub enum MetricKind {
+        /// `delta` where the environment's states have velocities, else `kl`.
+        Auto = "auto",
         /// KL(s_o, s_m) + KL(s'_o, s'_m), as in the paper.
         Kl = "kl",
         /// KL of the changes s' - s, where s_o and s_m are similar; no comparison elsewhere.
         Delta = "delta",
+    }
+}
+
+impl MetricKind {
+    /// What `auto` stands for in the environment with `spec`; any other value itself.
+    pub fn of(self, spec: &EnvSpec) -> Self {
+        match self {
+            Self::Auto if spec.velocities.is_empty() => Self::Kl,
+            Self::Auto => Self::Delta,
+            known => known,
+        }
+    }
+}
+
+choices! {
+    /// Which transitions of the observer may become the estimate of a mentor transition.
+    pub enum InferenceKind {
+        /// Those that begin in a state similar to s_m. At the same e_KL the one that begins nearer to s_m, and from s_m itself
+        /// the one with the higher reward.
+        Similar = "similar",
+        /// All of them, as in the papers, and at the same e_KL the one with the higher reward, wherever it begins. With
+        /// `metric = "delta"` they begin in similar states, too.
+        Any = "any",
     }
 }
 

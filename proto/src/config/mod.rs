@@ -32,7 +32,8 @@ pub use hazard::{Hazard, HazardKind, HazardScope};
 pub use learner::{Backend, Exploration, Learner, LossKind, TargetKind};
 pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
-    CombineKind, CovarianceKind, DrawKind, Mentor, MetricKind, RewardKind, SelectionKind, Shaping,
+    CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, SelectionKind,
+    Shaping,
 };
 pub use run::{Algo, IsaKind, Mode, Run};
 pub use setting::{Choice, Field, Setting, expansion};

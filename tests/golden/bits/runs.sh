@@ -36,6 +36,15 @@ run() {
     line "$name"
 }
 
+# A run with the default inference, and as `NAME-any` by the papers' letter. The latter have the results that the former had
+# when there was nothing else.
+both() {
+    local name=$1
+    shift
+    run "$name" "$@"
+    run "$name-any" "${letter[@]}" "$@"
+}
+
 # The learner dies in the middle; the supervisor starts all again, and the run is prolonged afterwards.
 killed() {
     local name=killed-and-resumed
@@ -56,34 +65,40 @@ killed() {
 all() {
     local small=(maze-small --env-steps 12000)
     local onehot=(--set env.encoding=one-hot)
+    local letter=(--set mentor.inference=any --set mentor.metric=kl)
     printf 'run,weights_sha256,evals_sha256\n'
     run dqn "${small[@]}" --algo dqn --seed 1
-    run diiqn "${small[@]}" --algo diiqn --seed 2
-    run ha-diiqn "${small[@]}" --algo ha-diiqn --seed 3
-    run no-bridges "${small[@]}" --algo ha-diiqn --seed 3 --set mentor.bridges=false
-    run one-hot "${small[@]}" --algo ha-diiqn --seed 4 "${onehot[@]}"
-    run three-actors "${small[@]}" --algo ha-diiqn --seed 5 --actors 3
-    run lag "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1
-    run guided "${small[@]}" --algo ha-diiqn --seed 7 "${onehot[@]}" --set exploration.guide_start=0.9
-    run guided-lag "${small[@]}" --algo ha-diiqn --seed 7 --actors 2 --set run.lag=1 --set exploration.guide_start=0.9
-    run confidence "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence
-    run one-sided "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.one_sided=true
-    run beside "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.combine=beside
-    run uniform "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.draw=uniform
-    run always "${small[@]}" --algo diiqn --seed 8 --set mentor.selection=always
-    run literal-reward "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.reward=observer
+    both diiqn "${small[@]}" --algo diiqn --seed 2
+    both ha-diiqn "${small[@]}" --algo ha-diiqn --seed 3
+    both no-bridges "${small[@]}" --algo ha-diiqn --seed 3 --set mentor.bridges=false
+    both one-hot "${small[@]}" --algo ha-diiqn --seed 4 "${onehot[@]}"
+    both three-actors "${small[@]}" --algo ha-diiqn --seed 5 --actors 3
+    both lag "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1
+    both guided "${small[@]}" --algo ha-diiqn --seed 7 "${onehot[@]}" --set exploration.guide_start=0.9
+    both guided-lag "${small[@]}" --algo ha-diiqn --seed 7 --actors 2 --set run.lag=1 --set exploration.guide_start=0.9
+    both confidence "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence
+    both one-sided "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.one_sided=true
+    both beside "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.combine=beside
+    both uniform "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.draw=uniform
+    both always "${small[@]}" --algo diiqn --seed 8 --set mentor.selection=always
+    both literal-reward "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.reward=observer
     run shaping "${small[@]}" --algo dqn --seed 10 --set shaping.potential=1.0
-    run n-step "${small[@]}" --algo ha-diiqn --seed 10 --actors 2 --set learner.n_step=5 --set learner.replay=3000
-    run candle maze-small --env-steps 3000 --algo ha-diiqn --seed 11 --set learner.backend=candle
-    run reference "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1 --mode reference
+    both n-step "${small[@]}" --algo ha-diiqn --seed 10 --actors 2 --set learner.n_step=5 --set learner.replay=3000
+    both candle maze-small --env-steps 3000 --algo ha-diiqn --seed 11 --set learner.backend=candle
+    both reference "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1 --mode reference
     run hard-target "${small[@]}" --algo dqn --seed 12 --set learner.target=hard --set learner.loss=squared \
         --set learner.double=false --set learner.max_grad_norm=1.0
-    run random-map "${small[@]}" --algo ha-diiqn --seed 13 --set env.map=random:5:10x10
+    both random-map "${small[@]}" --algo ha-diiqn --seed 13 --set env.map=random:5:10x10
     local point=(point-umaze --env-steps 8000 --set env.backend=builtin)
     run point-dqn "${point[@]}" --algo dqn --seed 1
-    run point-ha-diiqn "${point[@]}" --algo ha-diiqn --seed 2 --actors 3
-    run point-delta "${point[@]}" --algo ha-diiqn --seed 3 --set mentor.metric=delta
-    run point-guided-random "${point[@]}" --algo ha-diiqn --seed 4 --set exploration.guide_start=0.5 \
+    both point-ha-diiqn "${point[@]}" --algo ha-diiqn --seed 2 --actors 3
+    local delta=("${point[@]}" --algo ha-diiqn --seed 3 --set mentor.metric=delta)
+    run point-delta "${delta[@]}"
+    # The threshold that `auto` stood for before it was taken from the velocities alone.
+    run point-delta-any "${delta[@]}" --set mentor.inference=any --set mentor.e_infeas=0.023945648223161697
+    # Wide enough for the mentor to matter within these few steps.
+    both point-similar "${point[@]}" --algo ha-diiqn --seed 5 --set mentor.e_th=0.5
+    both point-guided-random "${point[@]}" --algo ha-diiqn --seed 4 --set exploration.guide_start=0.5 \
         --set env.reset=random
     killed
 }

@@ -130,6 +130,7 @@ fn spec(name: &str, step_limit: u32, map: &Map, set: &ActionSet, optimum: usize)
         high: vec![last(map.columns()), last(map.rows())],
         scale: vec![1.0; 2],
         integral: true,
+        velocities: Vec::new(),
         actions: set.directions.iter().map(|d| d.name().to_string()).collect(),
         // Where every episode is cut off before the goal there is no optimum to reach.
         best_return: (optimum as u64 <= u64::from(step_limit)).then(|| best_return(optimum)),

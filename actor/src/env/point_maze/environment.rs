@@ -125,6 +125,7 @@ fn spec(settings: &Settings, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
         high: narrow([high[0], high[1], top, top]),
         scale: narrow([stride, stride, change, change]),
         integral: false,
+        velocities: vec![2, 3],
         actions: forces.iter().map(|force| force.name.clone()).collect(),
         best_return: None,
         goal_bonus: settings.goal_reward as f32,
