@@ -10,13 +10,15 @@
 //! 6. [`mentor`]: these together, one batch of transitions after the other;
 //! 7. [`losses`]: the observer's loss, the mentor's, and the choice between them;
 //! 8. [`replay`] and [`shaping`]: what a gradient step draws from;
-//! 9. [`agent`]: the gradient step and all that it changes.
+//! 9. [`agent`]: the gradient step and all that it changes;
+//! 10. [`learned_bridges`] (ours): a policy that leads back onto the mentor's path, learnt to explore.
 
 pub mod agent;
 pub mod bridge;
 pub mod demonstration;
 pub mod history;
 pub mod inference;
+pub mod learned_bridges;
 pub mod losses;
 pub mod mentor;
 pub mod replay;

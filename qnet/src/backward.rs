@@ -1,4 +1,4 @@
-//! The gradient of a weighted sum of Q-values.
+//! The gradient of a weighted sum of Q-values, or of anything of which the derivatives by all outputs are known.
 
 use crate::kernels::{After, ByColumn, ByRow, ColumnSums, OutputLayer, Product, Transpose};
 use crate::layout::Layout;
@@ -53,7 +53,35 @@ pub fn backward(
     }
     output_layer(layout, params, ws, grad);
     for l in (0..layout.layers().len() - 1).rev() {
-        hidden_layer(layout, params, ws, l, grad);
+        dense_layer(layout, params, ws, l, None, grad);
+    }
+}
+
+/// The gradient with respect to the parameters of a loss whose derivatives by the outputs of the last
+/// [`crate::forward_train`] on this workspace are `outputs`, `[rows][output]`; `params` must be the parameters of that call.
+/// For losses of whole rows, such as a cross-entropy.
+///
+/// `grad` is overwritten. A unit whose ReLU was exactly at 0 passes no gradient on, as in PyTorch.
+///
+/// # Panics
+/// If a slice has another length, there are not as many rows as were computed, or the workspace has another layout.
+pub fn backward_outputs(
+    layout: &Layout,
+    params: &[f32],
+    ws: &mut Workspace,
+    outputs: &[f32],
+    grad: &mut [f32],
+) {
+    assert_eq!(ws.layout.sizes(), layout.sizes(), "the workspace belongs to another layout");
+    assert_eq!(params.len(), layout.n_params(), "number of parameters");
+    assert_eq!(grad.len(), layout.n_params(), "length of the gradient");
+    assert_eq!(outputs.len(), ws.trained_rows * layout.output(), "derivatives by the outputs");
+    ws.rows.clear();
+    ws.rows.extend(0..ws.trained_rows as u32);
+    let last = layout.layers().len() - 1;
+    dense_layer(layout, params, ws, last, Some(outputs), grad);
+    for l in (0..last).rev() {
+        dense_layer(layout, params, ws, l, None, grad);
     }
 }
 
@@ -88,13 +116,21 @@ fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut 
     }
 }
 
-/// Gradient of hidden layer `l` from the gradient of its output in `ws.delta[0]`; leaves the gradient of its input
-/// there.
-fn hidden_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, l: usize, grad: &mut [f32]) {
+/// Gradient of layer `l` from the gradient of its output, `outputs` or else what is in `ws.delta[0]`; leaves the gradient
+/// of its input there.
+fn dense_layer(
+    layout: &Layout,
+    params: &[f32],
+    ws: &mut Workspace,
+    l: usize,
+    outputs: Option<&[f32]>,
+    grad: &mut [f32],
+) {
     let layer = layout.layers()[l];
     let n = ws.rows.len();
     let [delta, next] = &mut ws.delta;
-    let delta = &delta[..n * layer.outputs];
+    // An output layer may be wider than what `delta` holds.
+    let delta = outputs.unwrap_or_else(|| &delta[..n * layer.outputs]);
     ws.kernels.run(Product {
         rows: layer.inputs,
         inner: n,
@@ -227,6 +263,38 @@ mod tests {
             for isa in Isa::available() {
                 let bits = |grad: &[f32]| grad.iter().map(|g| g.to_bits()).collect::<Vec<u32>>();
                 prop_assert_eq!(bits(&gradient(&case, isa)), bits(&grad), "{}", isa);
+            }
+        }
+    }
+
+    proptest! {
+        /// Every output of every row as a term of its own.
+        #[test]
+        fn derivatives_by_all_outputs_are_the_sum_of_the_terms(
+            sizes in prop::collection::vec(1usize..40, 2..6), rows in 1usize..12, seed: u64,
+        ) {
+            let mut case = case(&sizes, rows, 0, seed);
+            let n_actions = case.layout.output();
+            let outputs: Vec<f32> =
+                (0..rows * n_actions).map(|at| ((at * 7 + seed as usize % 5) % 11) as f32 / 5.0 - 1.0).collect();
+            let term = |(at, &dq): (usize, &f32)| {
+                RowGrad { row: (at / n_actions) as u32, action: (at % n_actions) as u32, dq }
+            };
+            case.terms = outputs.iter().enumerate().map(term).collect();
+            let exact = naive(&case);
+            let largest = exact.iter().fold(1e-3, |max: f64, g| max.max(g.abs()));
+            let mut first: Option<Vec<u32>> = None;
+            for isa in Isa::available() {
+                let mut ws = Workspace::with_kernels(&case.layout, rows, Kernels::new(isa).unwrap());
+                let mut q = vec![0.0; rows * n_actions];
+                forward_train(&case.layout, &case.params, &case.x, rows, &mut ws, &mut q);
+                let mut grad = vec![f32::NAN; case.layout.n_params()];
+                backward_outputs(&case.layout, &case.params, &mut ws, &outputs, &mut grad);
+                for (at, (&got, &exact)) in grad.iter().zip(&exact).enumerate() {
+                    prop_assert!((f64::from(got) - exact).abs() < 1e-4 * largest, "{}: {} {}", at, got, exact);
+                }
+                let bits: Vec<u32> = grad.iter().map(|g| g.to_bits()).collect();
+                prop_assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{}", isa);
             }
         }
     }

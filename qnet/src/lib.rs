@@ -4,7 +4,8 @@
 //! fixed order). All that a process does with a network is a plain function over these two:
 //!
 //! * [`encode`]: from an environment's observation to the network's input;
-//! * [`forward`], [`forward_train`], [`backward()`]: values, and the gradient of any weighted sum of them;
+//! * [`forward`], [`forward_train`], [`backward()`], [`backward_outputs`]: values, and the gradient of any weighted sum of
+//!   them, or of a loss of whole rows;
 //! * [`Loss`], [`Adam`], [`clip_grad_norm`]: from values and targets to the next parameters;
 //! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
 //! * [`network_of`], [`kernels_of`]: the shape and the instruction set that a run's plan asks for;
@@ -27,7 +28,7 @@ mod backward;
 mod buffer;
 
 pub use adam::{Adam, AdamConfig, AdamError, clip_grad_norm};
-pub use backward::{RowGrad, backward};
+pub use backward::{RowGrad, backward, backward_outputs};
 pub use buffer::AlignedBuffer;
 pub use encode::{Encoding, EncodingError};
 pub use kernels::{Isa, Kernels};

@@ -1,0 +1,28 @@
+//! Learned bridges (ours, not the paper's): a small policy π(a | s, g) that leads from any state to one nearby, learnt in
+//! hindsight from the observer's own steps and used for nothing but to explore along the mentor's path.
+//!
+//! [`crate::bridge`] finds bridges that the observer has walked. π generalises over them, and needs no threshold at which
+//! the bodies of mentor and observer count as similar. Its parts, in reading order:
+//!
+//! 1. [`goal`]: what π sees of a state and a goal, and its softmax;
+//! 2. [`hindsight`]: how it is learnt, as in goal-conditioned supervised learning (Ghosh et al. 2021): the action a_t that
+//!    was taken in s_t is a good one for reaching s_(t+h), whatever was wanted at the time;
+//! 3. [`path`]: the mentor's path as points and lengths, and the state to aim at;
+//! 4. [`tracker`]: how far along the path an episode is, and in which episodes the guide is used.
+//!
+//! Q-learning knows nothing of this: it trains on the real rewards of what was done. π draws an exploring step's action,
+//! with a probability that falls with ε; drawing rather than taking the likeliest keeps it from repeating a mistake for
+//! ever.
+
+pub mod goal;
+pub mod hindsight;
+pub mod path;
+pub mod tracker;
+
+#[cfg(test)]
+mod tests;
+
+pub use goal::{Goal, draw, softmax};
+pub use hindsight::{Hindsight, HindsightConfig, HindsightState};
+pub use path::MentorPath;
+pub use tracker::{Reach, Tracker};

@@ -1,0 +1,259 @@
+//! Learned bridges against naive oracles, and what they learn on a line.
+
+#![allow(clippy::unwrap_used)]
+
+use super::goal::{Goal, draw, softmax};
+use super::hindsight::{Hindsight, HindsightConfig};
+use super::path::{MentorPath, distance};
+use super::tracker::{Reach, Tracker};
+use crate::replay::Replay;
+use proptest::prelude::*;
+use rand::{Rng, SeedableRng};
+use trestle_proto::NONE;
+use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::rng::Stream;
+use trestle_proto::waypoints::Waypoints;
+use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, forward, init};
+
+/// States of a position and a velocity, each from -8 to 8; goals are positions, in units of 2.
+fn goal() -> Goal {
+    let encoding = Encoding::Scale { low: vec![-8.0; 2], high: vec![8.0; 2] };
+    Goal::new(encoding, &[0], &[2.0, 1.0])
+}
+
+fn hindsight(batch: usize, horizon: usize, seed: u64, kernels: Kernels) -> Hindsight {
+    let layout = Layout::new(&[3, 9, 7, 3]).unwrap();
+    let mut rng = Stream::seed_from_u64(seed);
+    let params = init(&layout, &mut rng);
+    let config = HindsightConfig { batch, horizon, adam: AdamConfig { lr: 0.02, ..AdamConfig::default() } };
+    Hindsight::new(goal(), layout, params, config, rng, kernels)
+}
+
+/// Two actors' walks over whole positions: actions are to the left, none, to the right.
+fn walks(capacity: usize, steps: usize, seed: u64) -> (Replay, Vec<(u32, [f32; 2], [f32; 2], u32)>) {
+    let mut replay = Replay::new(capacity, 2).unwrap();
+    let mut rng = Stream::seed_from_u64(seed);
+    let (mut places, mut history) = ([None; 2], Vec::new());
+    for _ in 0..steps {
+        let actor = rng.random_range(0..2u32);
+        let place: &mut Option<[f32; 2]> = &mut places[actor as usize];
+        let first = if place.is_none() { FIRST } else { 0 };
+        let obs = place.unwrap_or_else(|| [rng.random_range(-6..=6) as f32, 0.0]);
+        let action = rng.random_range(0..3u32);
+        let change = action as f32 - 1.0;
+        let next_obs = [(obs[0] + change).clamp(-8.0, 8.0), change];
+        let ends = [0, 0, 0, 0, 0, 0, TERMINATED, TRUNCATED][rng.random_range(0..8usize)];
+        let flags = first | ends;
+        replay.push(&Transition { obs: &obs, next_obs: &next_obs, action, reward: 0.0, flags }, actor, NONE);
+        history.push((actor, obs, next_obs, flags));
+        *place = (ends == 0).then_some(next_obs);
+    }
+    (replay, history)
+}
+
+/// The loss in `f64`, from the definition.
+fn naive_loss(hindsight: &Hindsight, params: &[f64], replay: &Replay) -> f64 {
+    let pairs = hindsight.pairs();
+    let mut loss = 0.0;
+    for &(slot, last) in pairs {
+        let (own, end) = (replay.get(slot).transition, replay.get(last).transition.next_obs);
+        let mut x: Vec<f64> = own.obs.iter().map(|&v| f64::from(v) / 8.0).collect();
+        x.push(f64::from(end[0] - own.obs[0]) / 2.0);
+        let layers = hindsight.layout().layers();
+        for (l, layer) in layers.iter().enumerate() {
+            let (w, b) = (&params[layer.weights()], &params[layer.bias()]);
+            let sum =
+                |o: usize| (0..layer.inputs).map(|i| x[i] * w[i * layer.outputs + o]).sum::<f64>() + b[o];
+            let out: Vec<f64> = (0..layer.outputs).map(sum).collect();
+            x = if l + 1 == layers.len() { out } else { out.into_iter().map(|v| v.max(0.0)).collect() };
+        }
+        let whole: f64 = x.iter().map(|v| v.exp()).sum();
+        loss -= (x[own.action as usize].exp() / whole).ln();
+    }
+    loss / pairs.len() as f64
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    /// The gradient against differences of the loss, the same on every instruction set.
+    #[test]
+    fn gradients_are_those_of_the_cross_entropy(batch in 1usize..9, horizon in 1usize..7, seed in 0u64..1000) {
+        let (replay, _) = walks(30, 50, seed);
+        let mut scalar = hindsight(batch, horizon, seed, Kernels::new(Isa::Scalar).unwrap());
+        let (loss, grad) = scalar.gradient(&replay);
+        let params: Vec<f64> = scalar.params().iter().map(|&p| f64::from(p)).collect();
+        prop_assert!((loss - naive_loss(&scalar, &params, &replay)).abs() < 1e-5);
+        for (at, &grad) in grad.iter().enumerate() {
+            let moved = |by: f64| {
+                let mut params = params.clone();
+                params[at] += by;
+                naive_loss(&scalar, &params, &replay)
+            };
+            let (below, here, above) = (moved(-1e-5), moved(0.0), moved(1e-5));
+            let (left, right) = ((here - below) / 1e-5, (above - here) / 1e-5);
+            // At a kink of a ReLU either side will do.
+            let error = (f64::from(grad) - left).abs().min((f64::from(grad) - right).abs());
+            prop_assert!(error < 1e-3, "{}: {} {} {}", at, grad, left, right);
+        }
+        for isa in Isa::available() {
+            let mut other = hindsight(batch, horizon, seed, Kernels::new(isa).unwrap());
+            prop_assert_eq!(other.gradient(&replay).1, grad.clone(), "{}", isa);
+        }
+    }
+
+    /// Goals are states of the same actor's same episode, 1 to `horizon` steps later: a walk through the plain history.
+    #[test]
+    fn goals_lie_ahead_in_the_same_episode(capacity in 1usize..40, horizon in 1usize..7, seed in 0u64..1000) {
+        let (replay, history) = walks(capacity, 60, seed);
+        let mut hindsight = hindsight(32, horizon, seed, Kernels::detect());
+        hindsight.gradient(&replay);
+        prop_assert_eq!(hindsight.pairs().len(), 32);
+        for &(slot, last) in hindsight.pairs() {
+            let number = |slot: usize| {
+                (replay.first_index()..replay.next_index()).find(|&i| replay.slot(i) == slot).unwrap() as usize
+            };
+            let (from, to) = (number(slot), number(last));
+            let actor = history[from].0;
+            let between: Vec<_> = history[from..=to].iter().filter(|step| step.0 == actor).collect();
+            prop_assert!(from <= to && history[to].0 == actor && between.len() <= horizon);
+            let ends = |step: &&&(u32, [f32; 2], [f32; 2], u32)| step.3 & (TERMINATED | TRUNCATED) != 0;
+            prop_assert_eq!(between[..between.len() - 1].iter().filter(ends).count(), 0);
+        }
+    }
+
+    /// The place on the path against a scan of all mentor states.
+    #[test]
+    fn the_tracker_equals_a_scan(
+        lengths in prop::collection::vec(2usize..9, 1..4),
+        places in prop::collection::vec(-8i8..=8, 40),
+        walk in prop::collection::vec(-8i8..=8, 1..20),
+        radius in prop::sample::select(vec![0.5f32, 1.0, 2.0]),
+        window in prop::sample::select(vec![0.0f32, 1.0, 3.0, 100.0]),
+        ahead in prop::sample::select(vec![0.0f32, 0.5, 1.0, 4.0]),
+    ) {
+        let waypoints = waypoints(&lengths, &places);
+        let path = MentorPath::new(&waypoints, 2, &goal(), radius);
+        let reach = Reach { window, ahead };
+        let mut tracker = Tracker::default();
+        tracker.begin(0.0);
+        let mut naive: Option<usize> = None;
+        let trajectory_of: Vec<usize> =
+            lengths.iter().enumerate().flat_map(|(i, &n)| std::iter::repeat_n(i, n)).collect();
+        let place_of = |m: usize| waypoints.states[2 * m] / 2.0;
+        let length = |m: usize| {
+            let first = (0..m).rev().take_while(|&k| trajectory_of[k] == trajectory_of[m]).last().unwrap_or(m);
+            (first..m).fold(0.0, |sum, k| sum + distance(&[place_of(k)], &[place_of(k + 1)]))
+        };
+        for &x in &walk {
+            let place = f32::from(x) / 2.0;
+            tracker.step();
+            tracker.observe(&path, &reach, &[place], &mut Vec::new(), &mut Vec::new());
+            let near: Vec<usize> = (0..trajectory_of.len())
+                .filter(|&m| (place_of(m) - place) * (place_of(m) - place) <= radius * radius)
+                .collect();
+            let on = naive.and_then(|at| {
+                near.iter().copied().rfind(|&m| {
+                    trajectory_of[m] == trajectory_of[at] && (length(m) - length(at)).abs() <= window
+                })
+            });
+            let nearest = near.iter().copied().min_by(|&a, &b| {
+                (place_of(a) - place).abs().total_cmp(&(place_of(b) - place).abs())
+            });
+            naive = on.or(nearest).or(naive);
+            prop_assert_eq!(tracker.at(), naive);
+            let aim = naive.map(|at| {
+                let same = (at..trajectory_of.len()).filter(|&m| trajectory_of[m] == trajectory_of[at]);
+                let last = same.clone().last().unwrap();
+                same.clone().find(|&m| length(m) >= length(at) + ahead).unwrap_or(last)
+            });
+            prop_assert_eq!(tracker.goal(&path, &reach), aim);
+        }
+    }
+
+    #[test]
+    fn probabilities_add_up_and_draws_follow_them(row in prop::collection::vec(-60.0f32..60.0, 1..9), u in 0.0f64..1.0) {
+        let mut p = row.clone();
+        softmax(&mut p);
+        let exact: f64 = row.iter().map(|&x| f64::from(x).exp()).sum();
+        for (&p, &x) in p.iter().zip(&row) {
+            prop_assert!((f64::from(p) - f64::from(x).exp() / exact).abs() < 1e-5);
+        }
+        let drawn = draw(&p, u);
+        let below: f64 = p[..drawn].iter().map(|&p| f64::from(p)).sum();
+        prop_assert!(below <= u && (u < below + f64::from(p[drawn]) || drawn + 1 == p.len()));
+    }
+}
+
+/// Trajectories of so many states, at these positions.
+fn waypoints(lengths: &[usize], places: &[i8]) -> Waypoints {
+    let mut waypoints = Waypoints::default();
+    let mut transitions = 0;
+    for &n in lengths {
+        for step in 0..n {
+            let m = waypoints.transition_of.len();
+            waypoints.states.extend([f32::from(places[m]), 0.0]);
+            waypoints.transition_of.push(if step + 1 == n { NONE } else { transitions });
+            transitions += u32::from(step + 1 < n);
+            waypoints.progress.push(0.0);
+        }
+    }
+    waypoints
+}
+
+#[test]
+fn a_guide_that_gets_stuck_is_used_less() {
+    let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.5);
+    let reach = Reach { window: 10.0, ahead: 1.0 };
+    let mut tracker = Tracker::default();
+    let mut episode = |places: &[f32], success: bool, u: f64| {
+        tracker.begin(u);
+        for (at, place) in places.iter().enumerate() {
+            if at > 0 {
+                tracker.step();
+            }
+            tracker.observe(&path, &reach, &[*place], &mut Vec::new(), &mut Vec::new());
+        }
+        let seen = (tracker.guided(), tracker.furthest(), tracker.is_stuck(success));
+        tracker.finish(success);
+        (seen, tracker.stuck())
+    };
+    // It stays at the second state of five.
+    assert_eq!(episode(&[0.0, 1.0, 1.0, 1.0, 0.0], false, 0.9), ((true, 0.25, true), 1));
+    assert_eq!(episode(&[0.0, 0.0, 0.0], false, 0.49), ((true, 0.0, true), 2));
+    // Not guided: neither a failure nor a success counts.
+    assert_eq!(episode(&[0.0, 0.0, 0.0], false, 0.34), ((false, 0.0, true), 2));
+    assert_eq!(episode(&[0.0, 1.0, 2.0], true, 0.34), ((false, 0.5, false), 2));
+    // It gets ahead to the last, though slowly.
+    assert_eq!(episode(&[0.0, 0.0, 0.0, 1.0], false, 0.33), ((true, 0.25, false), 0));
+    assert_eq!(episode(&[-3.0, -3.0], false, 0.99), ((true, 0.0, true), 1));
+    // The path's end is reached, whatever comes after.
+    assert_eq!(episode(&[3.0, 4.0, 3.0, 3.0, 3.0], false, 0.0), ((true, 1.0, false), 0));
+}
+
+/// The policy finds out which way an action leads, and a restored one goes on alike.
+#[test]
+fn it_learns_to_go_where_it_is_told() {
+    let (replay, _) = walks(2000, 2000, 4);
+    let mut hindsight = hindsight(64, 3, 7, Kernels::detect());
+    let before = hindsight.update(&replay).unwrap();
+    let losses: Vec<f64> = (0..400).map(|_| hindsight.update(&replay).unwrap()).collect();
+    assert!(losses[399] < before - 0.2, "{before} {}", losses[399]);
+    let layout = hindsight.layout().clone();
+    let mut ws = Workspace::new(&layout, 1);
+    for (from, to, likeliest) in [(-3.0, -1.0, 2), (-3.0, -5.0, 0), (4.0, 6.0, 2), (4.0, 2.0, 0)] {
+        let (mut x, mut out) = ([0.0; 3], [0.0; 3]);
+        goal().encode(&[from, 0.0], &[to, 9.0], &mut x);
+        forward(&layout, hindsight.params(), &x, 1, &mut ws, &mut out);
+        softmax(&mut out);
+        assert!(out[likeliest] > 0.5, "{from} {to}: {out:?}");
+    }
+    let mut again = self::hindsight(64, 3, 99, Kernels::detect());
+    assert!(again.restore(hindsight.state()));
+    let next = hindsight.update(&replay);
+    assert_eq!(again.update(&replay), next);
+    assert_eq!(again.state(), hindsight.state());
+    let mut other = hindsight.state().clone();
+    other.params.pop();
+    assert!(!again.restore(&other));
+    assert_eq!(again.update(&Replay::new(5, 2).unwrap()), None);
+}
