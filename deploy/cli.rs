@@ -23,6 +23,8 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     /// Train one agent
     Train(Train),
+    /// Go on where a run stopped, or prolong one that is finished
+    Resume(Resume),
     /// Train many agents: algorithms x seeds x settings
     Sweep(Sweep),
     /// Tables, plots and a page from any set of runs
@@ -106,23 +108,43 @@ impl Train {
     }
 }
 
+/// A run has its configuration with it, so it need not be typed again.
+#[derive(Debug, Args)]
+pub(crate) struct Resume {
+    /// A run's directory
+    #[arg(value_name = "RUN")]
+    pub(crate) run: PathBuf,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
+    /// Override one of the settings that may change: run.stop_when_solved, [env.hazard] and [supervise]; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub(crate) sets: Vec<String>,
+    /// Print the result only
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
 #[derive(Debug, Args)]
 #[command(after_help = presets())]
 pub(crate) struct Sweep {
-    #[command(flatten)]
-    pub(crate) source: Source,
+    /// A preset, or a TOML file; not needed with --resume
+    #[arg(value_name = "PRESET|CONFIG.TOML", required_unless_present = "resume")]
+    pub(crate) config: Option<String>,
+    /// Override one setting by its dotted key; may be repeated, the last one wins
+    #[arg(long = "set", value_name = "KEY=VALUE", requires = "config")]
+    pub(crate) sets: Vec<String>,
     /// Algorithms, each an arm of its own; with no --arm either: that of the configuration
-    #[arg(long, value_name = "ALGO,...", value_delimiter = ',', value_parser = word::<Algo>())]
+    #[arg(long, value_name = "ALGO,...", value_delimiter = ',', value_parser = word::<Algo>(), requires = "config")]
     pub(crate) algos: Vec<Algo>,
     /// A further arm with settings of its own; may be repeated
-    #[arg(long = "arm", value_name = "NAME:KEY=VALUE,...")]
+    #[arg(long = "arm", value_name = "NAME:KEY=VALUE,...", requires = "config")]
     pub(crate) arms: Vec<Arm>,
     /// Train every arm with each of these values, as in env.map=random:1:20x20,random:2:20x20; may be repeated
-    #[arg(long, value_name = "KEY=VALUE,...")]
+    #[arg(long, value_name = "KEY=VALUE,...", requires = "config")]
     pub(crate) over: Vec<Over>,
-    /// Seeds: 0..30 is thirty of them, 1,5,7 three
-    #[arg(long, value_name = "SEEDS")]
-    pub(crate) seeds: Seeds,
+    /// Seeds: 0..30 is thirty of them, 1,5,7 three; those of the sweep with --resume alone
+    #[arg(long, value_name = "SEEDS", required_unless_present = "resume")]
+    pub(crate) seeds: Option<Seeds>,
     /// Runs at once; as many as cores and memory allow if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_JOBS as i64))]
     pub(crate) jobs: Option<u16>,
@@ -131,7 +153,7 @@ pub(crate) struct Sweep {
     /// The sweep's directory
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Keep the runs that are complete and go on with the others
+    /// Keep the runs that are complete and go on with the others; with a higher --episodes or --env-steps prolong them all
     #[arg(long)]
     pub(crate) resume: bool,
     /// Print the summary only

@@ -3,13 +3,15 @@
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::{Arg, Args, Command};
+use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::marker::PhantomData;
 use trestle_actor::env::registry;
 use trestle_proto::config::{Choice, Config, Environments, Field};
 
 /// How long a run is.
-#[derive(Clone, Copy, Debug, Default, Args)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Args, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct Limits {
     #[arg(long, value_name = "N", help = help("run.episodes"))]
     pub(crate) episodes: Option<u64>,
@@ -24,10 +26,9 @@ impl Limits {
         config.run.env_steps = self.env_steps.or(config.run.env_steps);
     }
 
-    /// What was given, as a record of a sweep keeps it.
-    pub(crate) fn record(self) -> impl Iterator<Item = String> {
-        let number = |key: &str, value: Option<u64>| value.map(|value| format!("run.{key}={value}"));
-        [number("episodes", self.episodes), number("env_steps", self.env_steps)].into_iter().flatten()
+    /// What was given, or else that of `before`.
+    pub(crate) fn or(self, before: Self) -> Self {
+        Self { episodes: self.episodes.or(before.episodes), env_steps: self.env_steps.or(before.env_steps) }
     }
 }
 

@@ -122,6 +122,30 @@ fn other_settings_are_refused_and_more_episodes_are_not() {
 }
 
 #[test]
+fn a_run_goes_on_without_its_configuration() {
+    let place = Place::new();
+    let straight = place.train("straight", &ARGS);
+    let dir = place.run("run");
+    let mut run = start(&place.training("run", &ARGS));
+    run.wait_for("a checkpoint", || dir.last().exists());
+    run.signal(Signal::SIGINT);
+    run.finish().code(130);
+    let root = place.path("run");
+    start(&["train", &root]).finish().refused(&["is a run", &format!("trestle resume {root}")]);
+    let config = format!("{root}/config.toml");
+    let more = start(&["train", &config, "--env-steps", "900", "--quiet", "--out", &place.path("other")]);
+    assert!(more.finish().ok().stderr.contains(&format!("`trestle resume {root}` goes on")));
+    start(&["resume", &root, "--quiet", "--set", "learner.lr=0.5"]).finish().refused(&["lr = 0.5"]);
+    start(&["resume", &format!("{root}/last"), "--quiet"]).finish().ok();
+    assert_eq!(Trace::of(&dir), straight);
+    let commands = fs::read_to_string(dir.command()).unwrap();
+    let lines: Vec<&str> = commands.lines().collect();
+    assert!(lines.len() == 2 && lines[0].contains(" train ") && lines[1].contains(" resume "), "{commands}");
+    let nowhere = place.path("nowhere");
+    start(&["resume", &nowhere]).finish().refused(&["nowhere is no run"]);
+}
+
+#[test]
 fn a_run_that_stopped_when_solved_goes_on_only_if_told_to() {
     let place = Place::new();
     let args = [&ARGS[..], &["--set", "eval.threshold=-4000"]].concat();

@@ -31,7 +31,7 @@ fn a_signal_saves_and_leaves() {
         run.signal(signal);
         let outcome = run.finish().code(130);
         assert!(outcome.stderr.contains("interrupted"), "{outcome:?}");
-        assert!(outcome.stderr.contains("--resume"), "{outcome:?}");
+        assert!(outcome.stderr.contains("`trestle resume "), "{outcome:?}");
         assert_gone(&dir);
         let result = result(&dir);
         assert!(result.interrupted && result.env_steps > 0, "{result:?}");

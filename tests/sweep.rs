@@ -65,8 +65,13 @@ fn an_interrupted_sweep_goes_on_and_comes_to_the_same() {
     process.signal(Signal::SIGINT);
     let ended = process.finish();
     assert_eq!(ended.status.code(), Some(130), "{}", ended.stderr);
-    assert!(ended.stderr.contains("go on with the same command and --resume"), "{}", ended.stderr);
-    start(&sweep(&out, limit, &[&more[..], &["--resume"]].concat())).finish().ok();
+    assert!(
+        ended.stderr.contains(&format!("`trestle sweep --resume --out {out}` goes on")),
+        "{}",
+        ended.stderr
+    );
+    // Without its configuration again.
+    start(&["sweep", "--resume", "--quiet", "--out", &out]).finish().ok();
     let train = ["maze-small", "--algo", "dqn", "--seed", "3"];
     let alone = place.train("alone", &[&train[..], &limit, &often].concat());
     assert_eq!(Trace::of(&place.run("s/dqn/seed-3")), alone);

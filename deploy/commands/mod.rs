@@ -6,6 +6,7 @@ mod doctor;
 mod eval;
 mod map;
 mod report;
+mod resume;
 mod role;
 mod sweep;
 mod train;
@@ -32,6 +33,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
             .context("cannot handle signals")?;
     }
     if let Command::Train(_)
+    | Command::Resume(_)
     | Command::Sweep(_)
     | Command::Actor(_)
     | Command::Learner(_)
@@ -45,6 +47,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
     signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot handle signals")?;
     match cli.command {
         Command::Train(args) => train::run(&args),
+        Command::Resume(args) => resume::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Eval(args) => eval::run(&args),

@@ -1,6 +1,7 @@
 //! `trestle sweep`
 
 use crate::cli::Sweep as Args;
+use crate::flags::Limits;
 use crate::prepare::{Needs, Resolved, check as check_machine, resolve, weaknesses};
 use crate::status::INTERRUPTED;
 use crate::sweep::arms::{Arm, MAX_ARMS};
@@ -18,21 +19,20 @@ use trestle_report::stats::median;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "sweep", "warn");
-    let (arms, sets, seeds) = (arms(args)?, &args.source.sets, &args.seeds.0);
+    let Asked { source, sets, limits, arms, seeds } = asked(args)?;
     let mut most: Vec<Needs> = Vec::new();
     for arm in &arms {
         // Each arm is resolved as a run of it would be, before anything is started or written.
-        let resolved = check(configuration(&args.source.config, sets, args.limits, arm, seeds[0])?)
+        let resolved = check(configuration(&source, &sets, limits, arm, seeds[0])?)
             .with_context(|| format!("arm {}", arm.name))?;
         most.push(resolved.needs());
     }
     let needs = most.into_iter().reduce(Needs::max).context("a sweep without arms")?;
     let at_once = args.jobs.map_or_else(|| default_jobs(needs.shared_memory), usize::from);
-    let all = jobs(&args.source.config, sets, args.limits, &arms, seeds, &args.out)?;
+    let all = jobs(&source, &sets, limits, &arms, &seeds, &args.out)?;
     let together = at_once.min(all.len());
     check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
-    let sets = sets.iter().cloned().chain(args.limits.record()).collect();
-    Manifest::new(&args.source.config, sets, arms.clone(), seeds.clone()).claim(&args.out, args.resume)?;
+    Manifest::new(&source, sets, limits, arms.clone(), seeds).claim(&args.out, args.resume)?;
     for weakness in weaknesses(&args.out) {
         crate::output::say(&format!("note: {weakness}"));
     }
@@ -47,13 +47,15 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     report(&sweep, &swept)?;
     let failed = swept.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
     if swept.interrupted {
-        crate::output::say("interrupted; go on with the same command and --resume");
+        let out = args.out.display();
+        crate::output::say(&format!("interrupted; `trestle sweep --resume --out {out}` goes on"));
         return Ok(ExitCode::from(INTERRUPTED));
     }
     ensure!(
         failed == 0,
-        "{failed} of {} runs failed; the same command with --resume tries them again",
-        sweep.jobs.len()
+        "{failed} of {} runs failed; `trestle sweep --resume --out {}` tries them again",
+        sweep.jobs.len(),
+        args.out.display()
     );
     outln!("next: trestle report {}", args.out.display());
     Ok(ExitCode::SUCCESS)
@@ -66,12 +68,37 @@ fn check(config: trestle_proto::config::Config) -> Result<Resolved> {
     resolve(config)
 }
 
+/// What a sweep is made of.
+struct Asked {
+    source: String,
+    /// Settings of all arms, without the limits.
+    sets: Vec<String>,
+    limits: Limits,
+    arms: Vec<Arm>,
+    seeds: Vec<u64>,
+}
+
+/// What was typed, or without a configuration the sweep that is there; of its limits those that were typed.
+fn asked(args: &Args) -> Result<Asked> {
+    if let Some(source) = &args.config {
+        let seeds = args.seeds.as_ref().context("--seeds is not given; accepted: seeds, such as 0..10")?;
+        // Where there is no sweep yet, --resume begins it.
+        let there = Manifest::read(&args.out).ok().filter(|_| args.resume);
+        let limits = there.map_or(args.limits, |there| args.limits.or(there.limits));
+        let (sets, seeds) = (args.sets.clone(), seeds.0.clone());
+        return Ok(Asked { source: source.clone(), sets, limits, arms: arms(args, source)?, seeds });
+    }
+    let Manifest { source, sets, limits, arms, seeds, .. } = Manifest::read(&args.out)?;
+    let seeds = args.seeds.as_ref().map_or(seeds, |typed| typed.0.clone());
+    Ok(Asked { source, sets, limits: args.limits.or(limits), arms, seeds })
+}
+
 /// The arms as typed: plain algorithms first; without any, the configuration as it is.
-fn arms(args: &Args) -> Result<Vec<Arm>> {
+fn arms(args: &Args, source: &str) -> Result<Vec<Arm>> {
     let plain = args.algos.iter().copied().map(Arm::plain);
     let mut arms: Vec<Arm> = plain.chain(args.arms.iter().cloned()).collect();
     if arms.is_empty() {
-        let config = trestle_proto::config::load(registry(), &args.source.config, &args.source.sets)?;
+        let config = trestle_proto::config::load(registry(), source, &args.sets)?;
         arms.push(Arm::plain(config.run.algo));
     }
     let arms = cross(arms, &args.over);

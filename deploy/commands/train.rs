@@ -5,41 +5,76 @@ use crate::prepare::{self, Existing};
 use crate::reference;
 use crate::status::INTERRUPTED;
 use crate::supervise::{self, Ended, HeldSignals};
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_link::logging;
-use trestle_proto::config::{self, Config};
+use trestle_proto::config::{self, Config, Environments};
 use trestle_proto::rundir::RunDir;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
-    let config =
-        config::load_with(registry(), &args.source.config, &args.source.sets, |config| args.apply(config))?;
-    let root = args.out.clone().unwrap_or_else(|| default_out(&args.source.config, &config));
     let existing = match (args.resume, args.overwrite) {
         (true, _) => Existing::Resume,
         (_, true) => Existing::Overwrite,
         _ => Existing::Keep,
     };
+    let (source, of) = named(&args.source.config, existing)?;
+    let config = config::load_with(registry(), &source, &args.source.sets, |config| args.apply(config))?;
+    let root = match (&args.out, of) {
+        (Some(out), _) => out.clone(),
+        (None, Some(run)) if existing == Existing::Resume => run,
+        (None, _) => default_out(&args.source.config, &config),
+    };
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
+    go(config, &root, existing, args.quiet)
+}
+
+/// The configuration that `typed` names, and the run that it belongs to, if it does. With `--resume` a run's directory stands
+/// for its configuration.
+fn named(typed: &str, existing: Existing) -> Result<(String, Option<PathBuf>)> {
+    // A name without a directory is a preset's, whatever lies there.
+    let preset = registry().presets().iter().any(|preset| preset.name == typed);
+    let Some(run) = prepare::run_of(Path::new(typed)).filter(|_| !preset) else {
+        return Ok((typed.into(), None));
+    };
+    let config = RunDir::new(&run).config();
+    ensure!(
+        existing == Existing::Resume || Path::new(typed).is_file(),
+        "{typed} is a run and no configuration; accepted: `trestle resume {run}`, which goes on with it, or \
+         `trestle train {} --out DIR`, which begins another one like it",
+        config.display(),
+        run = run.display()
+    );
+    if existing == Existing::Keep {
+        crate::output::say(&format!(
+            "note: this begins another run like {run}; `trestle resume {run}` goes on with that one",
+            run = run.display()
+        ));
+    }
+    Ok((config.display().to_string(), Some(run)))
+}
+
+/// Trains with `config` in the directory `root`, and says what came of it. What a killed start has left beside the directory has
+/// been put right.
+pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -> Result<ExitCode> {
     let existing = match existing {
-        Existing::Resume if prepare::nothing_saved(&root) => {
+        Existing::Resume if prepare::nothing_saved(root) => {
             crate::output::say(&format!("{}: nothing had been saved: beginning anew", root.display()));
             Existing::Overwrite
         }
         existing => existing,
     };
-    let metrics = RunDir::new(&root).metrics();
-    if existing == Existing::Resume && RunDir::new(&root).config().exists() && !metrics.exists() {
+    let metrics = RunDir::new(root).metrics();
+    if existing == Existing::Resume && RunDir::new(root).config().exists() && !metrics.exists() {
         crate::output::say(&format!("note: {} is missing: a new one is begun", metrics.display()));
     }
     let mode = config.run.mode;
     let resolved = match existing {
-        Existing::Resume => prepare::resolve_run(&root, &config)?,
+        Existing::Resume => prepare::resolve_run(root, &config)?,
         Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
     };
     for warning in resolved.warnings() {
@@ -47,31 +82,34 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
     }
     // From here on there is something that an early Ctrl-C must not leave behind.
     let held = HeldSignals::new()?;
-    let prepared = resolved.prepare(&root, existing)?;
-    for weakness in prepare::weaknesses(&root) {
+    let prepared = resolved.prepare(root, existing)?;
+    for weakness in prepare::weaknesses(root) {
         crate::output::say(&format!("note: {weakness}"));
     }
     let ended = match mode {
-        config::Mode::Lockstep | config::Mode::Free => supervise::run(prepared, held, args.quiet)?,
-        config::Mode::Reference => reference::run(&prepared, held, args.quiet)?,
+        config::Mode::Lockstep | config::Mode::Free => supervise::run(prepared, held, quiet)?,
+        config::Mode::Reference => reference::run(&prepared, held, quiet)?,
     };
     match ended {
         Ended::Complete(result) => {
             // Nobody may be reading; the run has still done what was asked.
-            let _ = report(&mut stdout().lock(), &result, &root, args.quiet);
+            let _ = report(&mut stdout().lock(), &result, root, quiet);
             Ok(ExitCode::SUCCESS)
         }
         Ended::Interrupted(result) => {
             if let Some(result) = result {
-                let _ = report(&mut stdout().lock(), &result, &root, args.quiet);
-                crate::output::say(match mode {
+                let _ = report(&mut stdout().lock(), &result, root, quiet);
+                crate::output::say(&match mode {
                     config::Mode::Lockstep | config::Mode::Free => {
-                        "interrupted; go on with the same command and --resume"
+                        format!("interrupted; `trestle resume {}` goes on", root.display())
                     }
-                    config::Mode::Reference => "interrupted; a run in one process cannot be resumed",
+                    config::Mode::Reference => "interrupted; a run in one process cannot be resumed".into(),
                 });
-            } else if RunDir::new(&root).last().exists() {
-                crate::output::say("interrupted; the newest checkpoint is what --resume goes on from");
+            } else if RunDir::new(root).last().exists() {
+                crate::output::say(&format!(
+                    "interrupted; `trestle resume {}` goes on from the newest checkpoint",
+                    root.display()
+                ));
             } else {
                 crate::output::say("interrupted before anything was saved");
             }

@@ -29,6 +29,11 @@ use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 /// Largest `result.json` that is read, bytes.
 const MAX_RESULT: u64 = 1 << 20;
 
+/// Largest `command.txt` that is read, bytes: a command line has up to 2 MiB, and the newest ones have as many together.
+const MAX_COMMANDS: u64 = 8 << 20;
+/// Command lines that `command.txt` keeps beside the first and the present one.
+const MAX_RESUMES: usize = 98;
+
 /// What to do with a directory that exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Existing {
@@ -275,7 +280,8 @@ impl Prepared {
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
         save(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
         let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
-        save(&dir.command(), format!("{}\n", command.join(" ")).as_bytes())?;
+        let former = if self.fresh { String::new() } else { former_commands(dir) };
+        save(&dir.command(), format!("{former}{}\n", command.join(" ")).as_bytes())?;
         let build = serde_json::to_string_pretty(&BuildInfo::new(&resolved.config.env))?;
         save(&dir.build(), format!("{build}\n").as_bytes())?;
         if let Some(mentors) = resolved.mentors.as_ref().filter(|_| self.fresh) {
@@ -324,6 +330,23 @@ fn make(root: &Path, fresh: bool, existing: Existing) -> Result<Fence> {
     // Another start may have been quicker, and be over.
     ensure!(!fresh || !occupied(root)?, "{} exists by now; accepted: another --out", root.display());
     Ok(fence)
+}
+
+/// The command lines of a run that goes on: the first one, and the newest of those that followed. What cannot be read is lost,
+/// which is no reason to refuse the run.
+fn former_commands(dir: &RunDir) -> String {
+    let Ok(text) = regular_file::read_to_string(&dir.command(), MAX_COMMANDS) else { return String::new() };
+    let lines: Vec<&str> = text.lines().collect();
+    let Some((first, rest)) = lines.split_first() else { return String::new() };
+    let mut room = (MAX_COMMANDS / 2) as usize;
+    let newest = rest.iter().rev().take_while(|line| {
+        let fits = line.len() < room;
+        room = room.saturating_sub(line.len() + 1);
+        fits
+    });
+    let mut kept: Vec<&str> = newest.copied().take(MAX_RESUMES).collect();
+    kept.push(*first);
+    kept.iter().rev().fold(String::new(), |text, line| text + line + "\n")
 }
 
 /// Writes a small file of the run.

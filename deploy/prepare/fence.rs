@@ -118,7 +118,7 @@ fn holds(process: &Path, wanted: &fs::Metadata) -> bool {
 fn role(process: &Path) -> String {
     let line = fs::read(process.join("cmdline")).unwrap_or_default();
     match line.split(|byte| *byte == 0).nth(1) {
-        Some(b"train" | b"sweep") => "the supervisor".into(),
+        Some(b"train" | b"resume" | b"sweep") => "the supervisor".into(),
         Some(b"learner" | b"orphaned") => "the learner".into(),
         _ => "a program".into(),
     }

@@ -20,4 +20,4 @@ pub(crate) use directory::{Existing, Prepared};
 pub(crate) use fence::try_lock;
 pub(crate) use probes::{Needs, check, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};
-pub(crate) use states::{has_leftovers, nothing_saved, recover, replaced};
+pub(crate) use states::{has_leftovers, nothing_saved, recover, replaced, run_of};

@@ -75,8 +75,8 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     let dir = RunDir::new(root);
     check_version(&dir)?;
     let path = dir.config();
-    let text =
-        regular_file::read_to_string(&path, MAX_TEXT_BYTES).context("--resume: cannot read the run")?;
+    let text = regular_file::read_to_string(&path, MAX_TEXT_BYTES)
+        .with_context(|| format!("--resume: {} is no run", root.display()))?;
     let mut own = config::parse_toml(&path.display().to_string(), &text)?;
     own.run.episodes = typed.run.episodes;
     own.run.env_steps = typed.run.env_steps;

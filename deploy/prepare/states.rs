@@ -14,8 +14,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
 use trestle_proto::rundir::{
-    BUILD_FILE, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR, RunDir,
-    is_temporary,
+    BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
+    LAST_LINK, LOGS_DIR, PLAN_FILE, RunDir, is_temporary,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
@@ -39,6 +39,24 @@ pub(crate) fn nothing_saved(root: &Path) -> bool {
         dir.plan().is_file() && !dir.result().exists() && checkpoint::any_complete(root).is_ok_and(|any| !any)
     };
     is_unborn(root) || untrained()
+}
+
+/// The directory of the run that `path` names: the directory itself, its `config.toml`, its `last`, its `checkpoints`, or one
+/// of those.
+pub(crate) fn run_of(path: &Path) -> Option<PathBuf> {
+    let is_run = |dir: &Path| dir.join(PLAN_FILE).is_file() && dir.join(CONFIG_FILE).is_file();
+    let own = [CONFIG_FILE, LAST_LINK, CHECKPOINTS_DIR];
+    // As typed: `last` is a link to another place.
+    let within = |path: &Path| path.file_name().is_some_and(|name| own.iter().any(|own| name == *own));
+    let mut dir = path.to_path_buf();
+    if !is_run(&dir) && !within(&dir) {
+        dir = dir.parent().filter(|parent| parent.ends_with(CHECKPOINTS_DIR))?.to_path_buf();
+    }
+    if !is_run(&dir) {
+        let parent = dir.parent()?;
+        dir = if parent.as_os_str().is_empty() { ".".into() } else { parent.to_path_buf() };
+    }
+    is_run(&dir).then_some(dir)
 }
 
 /// Removes what a kill left of files that were being written into `root`.

@@ -1,6 +1,7 @@
 //! `sweep.json`: what a sweep's directory holds, so that `--resume` never mixes it with something else.
 
 use super::arms::Arm;
+use crate::flags::Limits;
 use crate::prepare::try_lock;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,9 @@ pub(crate) struct Manifest {
     pub(crate) source: String,
     /// Settings of all arms.
     pub(crate) sets: Vec<String>,
+    /// How long the runs are where the command line says so; the longest that has been asked for.
+    #[serde(default)]
+    pub(crate) limits: Limits,
     /// The arms.
     pub(crate) arms: Vec<Arm>,
     /// The seeds.
@@ -39,8 +43,34 @@ pub(crate) fn run_dir(out: &Path, arm: &str, seed: u64) -> PathBuf {
 }
 
 impl Manifest {
-    pub(crate) fn new(source: &str, sets: Vec<String>, arms: Vec<Arm>, seeds: Vec<u64>) -> Self {
-        Self { format: FORMAT, source: source.into(), sets, arms, seeds }
+    pub(crate) fn new(
+        source: &str,
+        sets: Vec<String>,
+        limits: Limits,
+        arms: Vec<Arm>,
+        seeds: Vec<u64>,
+    ) -> Self {
+        Self { format: FORMAT, source: source.into(), sets, limits, arms, seeds }
+    }
+
+    /// That of the sweep in `out`.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be read.
+    pub(crate) fn read(out: &Path) -> Result<Self> {
+        let path = Self::path(out);
+        let text = regular_file::read_to_string(&path, MAX_BYTES)
+            .with_context(|| format!("--resume: {} is no sweep's directory", out.display()))?;
+        serde_json::from_str(&text).with_context(|| format!("{} cannot be read", path.display()))
+    }
+
+    /// The settings but for the length of the runs, which may change.
+    fn settings(&self) -> Vec<&String> {
+        let length = |set: &&String| {
+            let key = set.split('=').next().unwrap_or_default().trim();
+            ["run.episodes", "run.env_steps"].contains(&key)
+        };
+        self.sets.iter().filter(|set| !length(set)).collect()
     }
 
     fn path(out: &Path) -> PathBuf {
@@ -48,7 +78,7 @@ impl Manifest {
     }
 
     /// Takes the directory `out` for this sweep: a new one, or with `resume` that of the same sweep, to which arms and
-    /// seeds may have been added.
+    /// seeds may have been added, and whose runs may be longer now.
     ///
     /// # Errors
     /// A directory that holds something else, or cannot be written.
@@ -63,10 +93,7 @@ impl Manifest {
                     out.display()
                 );
             }
-            let text = regular_file::read_to_string(&path, MAX_BYTES)
-                .with_context(|| format!("--resume: {} is no sweep's directory", out.display()))?;
-            let before: Self =
-                serde_json::from_str(&text).with_context(|| format!("{} cannot be read", path.display()))?;
+            let before = Self::read(out)?;
             before.check_same(self, out)?;
             union.arms.extend(before.arms.into_iter().filter(|arm| !self.arms.contains(arm)));
             union.seeds.extend(before.seeds.into_iter().filter(|seed| !self.seeds.contains(seed)));
@@ -77,7 +104,7 @@ impl Manifest {
             .with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// Whether `typed` is this sweep, but for arms and seeds that are new or not named this time.
+    /// Whether `typed` is this sweep, but for the length of its runs, and arms and seeds that are new or not named this time.
     fn check_same(&self, typed: &Self, out: &Path) -> Result<()> {
         let refuse = |what: &str, there: &dyn std::fmt::Debug, here: &dyn std::fmt::Debug| {
             let out = out.display();
@@ -91,7 +118,7 @@ impl Manifest {
         if self.source != typed.source {
             return refuse("the configuration is", &self.source, &typed.source);
         }
-        if self.sets != typed.sets {
+        if self.settings() != typed.settings() {
             return refuse("settings are", &self.sets, &typed.sets);
         }
         for arm in &self.arms {
@@ -143,7 +170,8 @@ mod tests {
 
     fn sweep(arms: &[&str], seeds: &[u64]) -> Manifest {
         let arms = arms.iter().map(|arm| arm.parse().unwrap()).collect();
-        Manifest::new("maze-small", vec!["learner.lr=0.001".into()], arms, seeds.to_vec())
+        let sets = vec!["learner.lr=0.001".into()];
+        Manifest::new("maze-small", sets, Limits::default(), arms, seeds.to_vec())
     }
 
     #[test]
@@ -156,6 +184,10 @@ mod tests {
         let text = fs::read_to_string(out.join("sweep.json")).unwrap();
         let all: Manifest = serde_json::from_str(&text).unwrap();
         assert_eq!(all, sweep(&["b:x=2", "a:x=1"], &[1, 2, 0]));
+        let limits = Limits { episodes: Some(9), env_steps: None };
+        let longer = Manifest { limits, ..sweep(&["b:x=2", "a:x=1"], &[1, 2, 0]) };
+        longer.claim(&out, true).unwrap();
+        assert_eq!(Manifest::read(&out).unwrap(), longer);
         let other = Manifest { source: "maze30".into(), ..sweep(&["a:x=1"], &[0]) };
         assert!(other.claim(&out, true).unwrap_err().to_string().contains("\"maze-small\" there"));
         let changed = sweep(&["a:x=9"], &[0]).claim(&out, true).unwrap_err().to_string();

@@ -1,0 +1,24 @@
+//! `trestle resume`
+
+use super::train;
+use crate::cli::Resume;
+use crate::prepare::{self, Existing};
+use anyhow::{Context, Result};
+use std::process::ExitCode;
+use trestle_actor::env::registry;
+use trestle_link::logging;
+use trestle_proto::config;
+use trestle_proto::rundir::RunDir;
+
+pub(super) fn run(args: &Resume) -> Result<ExitCode> {
+    logging::init(0, "supervisor", "warn");
+    let root = prepare::run_of(&args.run).unwrap_or_else(|| args.run.clone());
+    // What a killed --overwrite has left may be the very run.
+    prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
+    let path = RunDir::new(&root).config();
+    let config = config::load_with(registry(), &path.display().to_string(), &args.sets, |config| {
+        args.limits.apply(config);
+    })
+    .with_context(|| format!("{} is no run to go on with", root.display()))?;
+    train::go(config, &root, Existing::Resume, args.quiet)
+}
