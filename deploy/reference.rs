@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trestle_actor::worker::Worker;
 use trestle_algorithm::mentor::Mentor;
+use trestle_learner::checkpoint::Taken;
 use trestle_learner::session::Session;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::run::mentor_of;
@@ -80,7 +81,8 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     }
     let snapshots = workers.iter().map(Worker::snapshot).collect::<Result<Vec<_>, _>>()?;
     let interrupted = !session.done();
-    session.checkpoint(lag.then_some(&acting), &snapshots)?;
+    let taken = if interrupted { Taken::Amid } else { Taken::Last };
+    session.checkpoint(lag.then_some(&acting), &snapshots, taken)?;
     let result = session.finish(interrupted)?;
     display.finish();
     Ok(if interrupted { Ended::Interrupted(Some(result)) } else { Ended::Complete(result) })

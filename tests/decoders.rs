@@ -264,7 +264,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let entries = "{\"name\": \"model.safetensors\", \"bytes\": 4, \"crc32c\": 5}";
     let manifest = format!(
         "{{\"format\": {}, \"version\": \"0.1.0\", \"tick\": 3, \"configuration\": \"ab\", \"counters\": \
-         {{\"episodes\": 1, \"env_steps\": 2, \"grad_steps\": 3}}, \"cut_short\": false, \"files\": [{entries}]}}",
+         {{\"episodes\": 1, \"env_steps\": 2, \"grad_steps\": 3}}, \"ended\": false, \"files\": [{entries}]}}",
         checkpoint::FORMAT
     );
     vec![

@@ -24,6 +24,7 @@ mod leftovers;
 mod maps;
 mod mentors;
 mod point_maze;
+mod prolong;
 mod query;
 mod resume;
 mod room;

@@ -83,6 +83,9 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     // From here on there is something that an early Ctrl-C must not leave behind.
     let held = HeldSignals::new()?;
     let prepared = resolved.prepare(root, existing)?;
+    if let Some(from) = prepared.from().filter(|_| !quiet) {
+        crate::output::say(from);
+    }
     for weakness in prepare::weaknesses(root) {
         crate::output::say(&format!("note: {weakness}"));
     }

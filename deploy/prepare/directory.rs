@@ -58,6 +58,8 @@ pub(crate) struct Prepared {
     /// Where the run that is being replaced waits.
     replaced: Option<PathBuf>,
     began: Cell<bool>,
+    /// Where the run goes on from, if it does.
+    from: Option<String>,
     /// Keeps other runs away.
     fence: Fence,
 }
@@ -96,6 +98,7 @@ impl Resolved {
             self.config.mentor.demo =
                 demos.map_files(|name, _| copy_of(&base, demos, name).display().to_string());
         }
+        let mut from = None;
         let mut plan = self.plan(draw()?, None);
         match &followed {
             None => plan.history = draw()?,
@@ -103,6 +106,11 @@ impl Resolved {
                 (plan.history, plan.restarts) = (former.history, former.restarts);
                 plan.generation = next_generation(former.generation)?;
                 plan.resume_tick = Some(*tick);
+                let at = checkpoint::counters(&checkpoint::directory(root, *tick))?;
+                from = Some(format!(
+                    "going on from episode {} and environment step {}, the checkpoint of tick {tick}",
+                    at.episodes, at.env_steps
+                ));
             }
         }
         if self.config.run.mode != Mode::Reference {
@@ -127,8 +135,9 @@ impl Resolved {
             })?,
         };
         drop(former);
-        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), fence };
+        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), from, fence };
         prepared.write(&self)?;
+        prepared.from.iter().for_each(|from| prepared.note(from));
         Ok(prepared)
     }
 
@@ -139,6 +148,20 @@ impl Resolved {
         let stopped =
             self.config.run.stop_when_solved && result.solved_episode.is_some() && !result.interrupted;
         (stopped || self.reached(result.episodes, result.env_steps)).then_some(result)
+    }
+
+    /// What ended the run that came to `result`.
+    fn limits_of(&self, result: &RunResult) -> String {
+        let run = &self.config.run;
+        let limit = |key: &str, limit: Option<u64>, count| {
+            limit.filter(|&limit| count >= limit).map(|limit| format!("run.{key} = {limit}"))
+        };
+        let limits = [
+            limit("episodes", run.episodes, result.episodes),
+            limit("env_steps", run.env_steps, result.env_steps),
+        ];
+        let limits: Vec<String> = limits.into_iter().flatten().collect();
+        if limits.is_empty() { "it is solved".into() } else { limits.join(", ") }
     }
 
     /// Whether the run in `root` has a checkpoint that this configuration can go on from.
@@ -165,16 +188,23 @@ impl Resolved {
         let root = dir.root().display();
         if let Some(result) = self.complete(dir.root()) {
             bail!(
-                "--resume: {root} is complete with {} episodes and {} environment steps; accepted: a higher --episodes or \
-                 --env-steps, or --set run.stop_when_solved=false where it stopped because it is solved",
+                "--resume: {root} is complete with {} episodes and {} environment steps ({}); accepted: a higher \
+                 --episodes or --env-steps, or --set run.stop_when_solved=false where it stopped because it is solved",
                 result.episodes,
-                result.env_steps
+                result.env_steps,
+                self.limits_of(&result)
             );
         }
         let former = self.former(dir)?;
         match checkpoint::newest_resumable(dir.root(), &former)? {
             Some((tick, _)) => Ok((former, tick)),
-            None => bail!("--resume: {root} holds no checkpoint to go on from"),
+            None if checkpoint::any_complete(dir.root())? => bail!(
+                "--resume: the run cannot go on from any of the checkpoints in {root}, for the reasons above; accepted: \
+                 --overwrite, which begins anew"
+            ),
+            None => bail!(
+                "--resume: {root} holds no checkpoint to go on from; accepted: --overwrite, which begins anew"
+            ),
         }
     }
 }
@@ -186,6 +216,11 @@ impl Prepared {
 
     pub(crate) fn plan(&self) -> &RunPlan {
         &self.plan
+    }
+
+    /// Where the run goes on from, in words, if it does not begin anew.
+    pub(crate) fn from(&self) -> Option<&str> {
+        self.from.as_deref()
     }
 
     /// The lock of the run's directory.

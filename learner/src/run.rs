@@ -11,6 +11,7 @@
 //! *Free mode* takes whichever batches have come. Actors and the mentor-server may be replaced meanwhile, and this process
 //! may itself have taken another's place: then the actors learn of it from its first orders, and announce themselves anew.
 
+use crate::checkpoint::Taken;
 use crate::record::{Progress, RunResult};
 use crate::session::{Resumed, Session, SessionError};
 use std::time::{Duration, Instant};
@@ -61,12 +62,15 @@ pub fn run(
     progress: impl FnMut(&Progress),
 ) -> Result<RunResult, RunError> {
     let mentor = welcome(link, plan, stop)?;
-    let Resumed { session, behaviour } = match plan.resume_tick {
-        None => Resumed { session: Session::new(plan, dir, mentor, progress)?, behaviour: None },
+    let resumed = match plan.resume_tick {
+        None => {
+            let session = Session::new(plan, dir, mentor, progress)?;
+            Resumed { session, behaviour: None, pending: Vec::new() }
+        }
         Some(tick) => Session::resume(plan, dir, tick, mentor, progress)?,
     };
-    tracing::info!(tick = session.tick(), "ready to train");
-    Loop::new(link, plan, session, behaviour, stop).run()
+    tracing::info!(tick = resumed.session.tick(), "ready to train");
+    Loop::new(link, plan, resumed, stop).run()
 }
 
 /// Lets the other processes in; in free mode the actors come when they like. Returns the mentor's transitions, if the run
@@ -129,27 +133,23 @@ struct Loop<'a, L> {
     /// What the actors act with where it is not the agent's newest: until the first publication of a resumed run, and
     /// for the checkpoint that is being taken.
     behaviour: Option<Vec<f32>>,
-    /// The round of the last checkpoint.
+    /// The round of the last checkpoint that the run can go on from.
     saved: Option<u64>,
     stop: Stop<'a>,
 }
 
 impl<'a, L: LearnerLink> Loop<'a, L> {
-    fn new(
-        link: &'a mut L,
-        plan: &'a RunPlan,
-        session: Session<'a>,
-        behaviour: Option<Vec<f32>>,
-        stop: Stop<'a>,
-    ) -> Self {
+    fn new(link: &'a mut L, plan: &'a RunPlan, resumed: Resumed<'a>, stop: Stop<'a>) -> Self {
+        let Resumed { session, behaviour, pending } = resumed;
         let run = &plan.config.run;
         let (actors, barrier) = (run.actors as usize, run.mode != Mode::Free);
         // In lockstep every actor is there, and goes on from its snapshot.
-        let next_seq = session.tick() * u64::from(run.rollout);
+        let ticks = session.tick() + u64::from(!pending.is_empty());
+        let next_seq = ticks * u64::from(run.rollout);
         let seat = barrier.then_some(Seat { incarnation: Incarnation::default(), batches: 0, next_seq });
         Self {
             barrier,
-            came: Vec::new(),
+            came: pending.into_iter().map(Came::Batch).collect(),
             spare: vec![Batch::with_capacity(run.rollout as usize, plan.spec.obs_dim()); actors],
             answers: Answers::default(),
             seats: vec![seat; actors],
@@ -166,7 +166,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
 
     fn run(mut self) -> Result<RunResult, RunError> {
         if self.barrier && self.session.done() {
-            // The checkpoint is the run's last one; only the result is missing.
+            // The checkpoint is beyond limits that are lower now.
             self.session.start()?;
             return self.leave(false);
         }
@@ -185,34 +185,40 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         while !self.session.done() {
             logging::set_tick(self.session.tick() + 1);
             self.receive()?;
-            let leaving = (self.stop)();
+            let ending = self.barrier && self.session.ends_within(batches(&self.came));
+            if ending {
+                self.save_before_last()?;
+            }
+            // The actors stay where they are after the last tick.
+            let leaving = ending || (self.stop)();
             let before = self.session.agent().counters().env_steps;
-            let saving = leaving || self.session.checkpoint_due(before, self.steps_received());
+            let due = leaving || self.session.checkpoint_due(before, self.steps_received());
+            let saving = due && !ending;
             if lag {
                 self.dispatch(saving, leaving)?;
             }
             if !self.learn()? {
-                self.save()?;
+                self.save(Taken::Amid)?;
                 return self.leave(true);
             }
             if self.session.done() {
-                return self.finish(lag && !leaving);
+                return self.finish();
             }
             if !lag {
                 self.dispatch(saving, leaving)?;
             }
             if saving {
-                self.save()?;
+                self.save(Taken::Amid)?;
             }
             if leaving {
                 tracing::info!("interrupted: the round is finished and saved");
                 return self.leave(true);
             }
         }
-        self.finish(false)
+        self.finish()
     }
 
-    /// Publishes the weights to begin with, and grants the first batches.
+    /// Publishes the weights to begin with, and grants the first batches, unless these are here already.
     fn begin(&mut self) -> Result<(), RunError> {
         let tick = self.session.tick();
         match self.behaviour.take() {
@@ -223,7 +229,9 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             }
             None => self.publish_weights()?,
         }
-        self.grant();
+        if self.came.is_empty() {
+            self.grant();
+        }
         Ok(self.link.send_orders(&self.orders)?)
     }
 
@@ -388,7 +396,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
                     Came::Joined { actor, incarnation } => self.session.joined(actor, incarnation),
                     Came::Batch(batch) => {
                         let answer = answers.next();
-                        // In lockstep the agent must know that it drops what comes after the run's limits.
+                        // In lockstep what the mentor-server has found in the whole tick counts to the end.
                         if self.barrier || !self.session.done() {
                             let counted = self.session.ingest(&batch, answer)?;
                             self.session.count_batch(&batch, counted);
@@ -522,34 +530,50 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     /// Writes the checkpoint; in lockstep once all snapshots and the evaluation that were asked for have come. Batches of
     /// the next tick, which the actors begin as soon as they have answered, may come meanwhile. In free mode the actors
     /// begin a new episode when the run is resumed.
-    fn save(&mut self) -> Result<(), RunError> {
+    fn save(&mut self, taken: Taken<'_>) -> Result<(), RunError> {
         if !self.barrier {
             // What has come since the last one need not be a batch, and checkpoints are told apart by their rounds.
             if self.saved == Some(self.session.tick()) {
                 self.session.skip_round();
             }
             self.saved = Some(self.session.tick());
-            return Ok(self.session.checkpoint(None, &vec![Vec::new(); self.seats.len()])?);
+            return Ok(self.session.checkpoint(None, &vec![Vec::new(); self.seats.len()], taken)?);
         }
+        let snapshots = self.await_snapshots()?;
+        self.saved = Some(self.session.tick());
+        Ok(self.session.checkpoint(self.behaviour.take().as_deref(), &snapshots, taken)?)
+    }
+
+    /// Those of all actors, once they have come, and the evaluation that was asked for has, too.
+    fn await_snapshots(&mut self) -> Result<Vec<Vec<u8>>, RunError> {
         while self.snapshots.iter().any(Option::is_none) || self.session.awaits_evaluation() {
             self.next(WAIT_SLICE)?;
         }
-        let snapshots: Vec<Vec<u8>> = self.snapshots.iter_mut().filter_map(Option::take).collect();
-        Ok(self.session.checkpoint(self.behaviour.take().as_deref(), &snapshots)?)
+        Ok(self.snapshots.iter_mut().filter_map(Option::take).collect())
     }
 
-    /// The run has reached its limits: a last evaluation, a last checkpoint, the result. `ahead`: the actors have been sent
-    /// on to the next round, whose batches nobody needs. In free mode the run may be interrupted meanwhile, and then still
-    /// owes the evaluation.
-    fn finish(mut self, ahead: bool) -> Result<RunResult, RunError> {
-        if ahead {
-            self.receive()?;
-            self.session.cut_short();
-            self.came.clear();
+    /// Lockstep: the batches of the run's last tick have come. Writes the checkpoint that a longer run goes on from: nothing of the
+    /// tick has been learnt, and nothing is asked of the actors that a longer run would not ask of them. Where there is a
+    /// checkpoint of this very round, it is as good.
+    fn save_before_last(&mut self) -> Result<(), RunError> {
+        if self.saved == Some(self.session.tick()) {
+            return Ok(());
         }
+        self.snapshots.fill(None);
+        self.orders.snapshot += 1;
+        self.link.send_orders(&self.orders)?;
+        let snapshots = self.await_snapshots()?;
+        let parts: Vec<Part<'_>> = batches(&self.came).map(Part::of).collect();
+        Ok(self.session.checkpoint(None, &snapshots, Taken::BeforeLast(&parts))?)
+    }
+
+    /// The run has reached its limits: a last evaluation, a last checkpoint, the result. In free mode the run may be interrupted
+    /// meanwhile, and then still owes the evaluation.
+    fn finish(mut self) -> Result<RunResult, RunError> {
         if !self.barrier {
-            // Before the evaluation, too: whatever happens to the actor that plays it, the training is kept.
-            self.save()?;
+            // Before the evaluation, too: whatever happens to the actor that plays it, the training is kept, and a longer run
+            // goes on from here.
+            self.save(Taken::Amid)?;
         }
         if !self.await_evaluation()? {
             return self.leave(true);
@@ -559,7 +583,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         if !self.await_evaluation()? {
             return self.leave(true);
         }
-        self.save()?;
+        self.save(Taken::Last)?;
         self.leave(false)
     }
 

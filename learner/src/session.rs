@@ -4,7 +4,7 @@
 //!
 //! Every decision depends on counts alone; the clock only paces what people look at.
 
-use crate::checkpoint::{self, CheckpointError, Cut, Saver};
+use crate::checkpoint::{self, CheckpointError, Cut, Saver, Taken};
 use crate::record::{
     ActorRow, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
     RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors, write_mentor,
@@ -114,6 +114,8 @@ pub struct Resumed<'a> {
     pub session: Session<'a>,
     /// Weights and guide that the actors act with in the next tick, where they are not the agent's newest.
     pub behaviour: Option<Vec<f32>>,
+    /// The batches of the next tick, if they have come.
+    pub pending: Vec<Batch>,
 }
 
 impl<'a> Session<'a> {
@@ -179,7 +181,7 @@ impl<'a> Session<'a> {
             params.extend(&state.guide);
             params
         });
-        Ok(Resumed { session, behaviour })
+        Ok(Resumed { session, behaviour, pending: loaded.pending })
     }
 
     /// The other processes have answered: time counts from here, and the result of an earlier start is gone.
@@ -283,21 +285,21 @@ impl<'a> Session<'a> {
 
     /// Whether the run has reached its limits, or is solved and to stop then.
     pub fn done(&self) -> bool {
-        self.agent.done() || self.solved()
+        self.agent.done() || self.solved(self.tick)
     }
 
-    /// Whether the run stops here because it is solved. The answer to an evaluation comes while the next tick, with a
+    /// Whether the run is over with the next tick, whose batches are `batches`.
+    pub fn ends_within<'b>(&self, batches: impl Iterator<Item = &'b Batch>) -> bool {
+        self.agent.ends_within(batches) || self.solved(self.tick + 1)
+    }
+
+    /// Whether the run stops with `tick` because it is solved. The answer to an evaluation comes while the next tick, with a
     /// lag the one after it, is under way: that tick is the last one wherever the answer came earlier, too.
-    fn solved(&self) -> bool {
+    fn solved(&self, tick: u64) -> bool {
         let run = &self.plan.config.run;
         let last = |by: Counters| by.env_steps / self.plan.steps_per_tick() + 1 + u64::from(run.lag);
-        let now = |by| run.mode == Mode::Free || self.tick >= last(by);
+        let now = |by| run.mode == Mode::Free || tick >= last(by);
         run.stop_when_solved && self.solved_by.is_some_and(now)
-    }
-
-    /// The actors are ahead of what the agent has learnt from, and will not be taken back: see [`Agent::cut`].
-    pub fn cut_short(&mut self) {
-        self.agent.cut();
     }
 
     /// Makes a last evaluation due unless there has been one at this very point, or the run stops because of the last
@@ -357,7 +359,12 @@ impl<'a> Session<'a> {
 
     /// Takes a checkpoint after the last trained tick. `behaviour`: weights and guide that actors act with in the next
     /// tick, where they are not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
-    pub fn checkpoint(&mut self, behaviour: Option<&[f32]>, actors: &[Vec<u8>]) -> Result<(), SessionError> {
+    pub fn checkpoint(
+        &mut self,
+        behaviour: Option<&[f32]>,
+        actors: &[Vec<u8>],
+        taken: Taken<'_>,
+    ) -> Result<(), SessionError> {
         let start = Instant::now();
         let n_params = self.agent.network().layout().n_params();
         let (behaviour, guide) = behaviour.map(|acting| acting.split_at(n_params)).unzip();
@@ -373,7 +380,8 @@ impl<'a> Session<'a> {
             guide: guide.unwrap_or_default().to_vec(),
         };
         let run = codec::encode(KIND, &state)?;
-        let cut = Cut { plan: self.plan, tick: self.tick, agent: &self.agent, behaviour, actors, run: &run };
+        let (plan, tick, agent) = (self.plan, self.tick, &self.agent);
+        let cut = Cut { plan, tick, agent, behaviour, actors, run: &run, taken };
         self.saver.save(&cut, records)?;
         self.write_tables()?;
         tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");

@@ -66,12 +66,6 @@ pub enum AgentError {
         /// What is accepted.
         accepted: u64,
     },
-    /// A run that ended at its limits in the middle of a tick is to go on with higher ones.
-    #[error(
-        "the run ended within a tick, and the rest of that tick is lost: it cannot go on with a higher \
-         run.episodes or run.env_steps; an older checkpoint can"
-    )]
-    CutShort,
     /// Training has diverged.
     #[error(
         "{what} is no longer finite after {grad_steps} gradient steps: training has diverged; a smaller learner.lr \

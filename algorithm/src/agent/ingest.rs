@@ -80,7 +80,6 @@ impl Agent {
                 });
             }
         }
-        self.cut_short |= ingested.consumed < batch.len();
         self.set_past_values(first)?;
         Ok(ingested)
     }

@@ -35,6 +35,7 @@ use sha2::{Digest, Sha256};
 use std::ops::Range;
 use step::Step;
 use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::batch::Batch;
 use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
@@ -64,8 +65,6 @@ pub struct Agent {
     trained_to: u64,
     /// The unfinished episode of each actor.
     running: Vec<Running>,
-    /// Whether transitions have been dropped because the run had reached its limits.
-    cut_short: bool,
     step: Step,
     /// What actors get: a copy of the online parameters as of the last [`Agent::train`], and behind them, with guided
     /// exploration, the action of each mentor transition, or -1.
@@ -174,7 +173,6 @@ impl Agent {
             counters: Counters::default(),
             trained_to: 0,
             running: vec![Running::default(); plan.config.run.actors as usize],
-            cut_short: false,
             settings,
             encoding,
             mentor,
@@ -189,19 +187,23 @@ impl Agent {
 
     /// Whether the run has reached its number of episodes or of environment steps.
     pub fn done(&self) -> bool {
+        self.reaches(self.counters.episodes, self.counters.env_steps)
+    }
+
+    /// Whether the run reaches them within `batches`, if these are ingested next.
+    pub fn ends_within<'a>(&self, batches: impl Iterator<Item = &'a Batch>) -> bool {
+        let Counters { mut episodes, mut env_steps, .. } = self.counters;
+        for batch in batches {
+            env_steps += batch.len() as u64;
+            let ends = |&index: &usize| batch.transition(index).ends_episode();
+            episodes += (0..batch.len()).filter(ends).count() as u64;
+        }
+        self.reaches(episodes, env_steps)
+    }
+
+    fn reaches(&self, episodes: u64, env_steps: u64) -> bool {
         let reached = |limit: Option<u64>, count| limit.is_some_and(|limit| count >= limit);
-        reached(self.settings.episodes, self.counters.episodes)
-            || reached(self.settings.env_steps, self.counters.env_steps)
-    }
-
-    /// The actors have taken steps that the agent will never see: it cannot go on with them.
-    pub fn cut(&mut self) {
-        self.cut_short = true;
-    }
-
-    /// Whether transitions have been dropped because the run had reached its limits: it cannot go on then.
-    pub fn cut_short(&self) -> bool {
-        self.cut_short
+        reached(self.settings.episodes, episodes) || reached(self.settings.env_steps, env_steps)
     }
 
     /// The online parameters after the last [`Agent::train`] (the initial ones before the first), flat in the order

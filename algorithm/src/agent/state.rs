@@ -18,8 +18,6 @@ pub struct AgentState {
     rng: Stream,
     /// Return and length of each actor's unfinished episode.
     running: Vec<(f64, u64)>,
-    /// Whether the run ended within a tick, whose remaining transitions are lost.
-    cut_short: bool,
     /// Training counts of the mentor transitions.
     trained: Vec<u32>,
     /// For each mentor transition how often it was picked for an observer transition, and used in a sample's loss.
@@ -71,7 +69,6 @@ impl Agent {
             trained_to: self.trained_to,
             rng: self.rng.clone(),
             running: self.running.iter().map(|r| (r.total_reward, r.length)).collect(),
-            cut_short: self.cut_short,
             trained: self.mentor.as_ref().map(|mentor| mentor.trained.clone()).unwrap_or_default(),
             visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
             used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
@@ -138,11 +135,9 @@ impl Agent {
         self.counters = state.counters;
         self.trained_to = state.trained_to;
         self.rng = state.rng.clone();
-        self.cut_short = state.cut_short;
         self.running =
             state.running.iter().map(|&(total_reward, length)| Running { total_reward, length }).collect();
-        // Its actors and its mentor-server know transitions that the replay does not.
-        if self.cut_short && !self.done() { Err(AgentError::CutShort) } else { Ok(()) }
+        Ok(())
     }
 
     /// Forgets return and length of `actor`'s unfinished episode: it will have no end.

@@ -1,7 +1,7 @@
 //! MANIFEST and COMPLETE: what a checkpoint consists of, and that it is whole.
 
 use super::error::{CheckpointError, contents};
-use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST};
+use super::{BEHAVIOUR, COMPLETE, FILES, MANIFEST, PENDING};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -12,8 +12,8 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::regular_file;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 5;
-/// The oldest layout that can be read. Checkpoints of 4 do not say whose they are, so no run goes on from them.
+pub const FORMAT: u32 = 6;
+/// The oldest layout whose policy can be read. Runs go on from checkpoints of the present layout alone.
 const OLDEST: u32 = 4;
 /// Largest MANIFEST or COMPLETE that is read, bytes.
 const MAX_BYTES: u64 = 1 << 16;
@@ -50,8 +50,10 @@ pub struct Manifest {
     pub configuration: String,
     /// The run's counters at the tick, for people.
     pub counters: Counters,
-    /// Whether the run ended within the tick: then the policy is the final one, but the run can't go on from here.
-    pub cut_short: bool,
+    /// Whether the run ended with the tick: then the policy is the final one, and a longer run goes on from the checkpoint
+    /// before.
+    #[serde(alias = "cut_short")]
+    pub ended: bool,
     /// The files.
     pub files: Vec<FileEntry>,
 }
@@ -140,7 +142,8 @@ impl Manifest {
         let refuse = |message: String| Err(contents(path)(message));
         for (at, entry) in self.files.iter().enumerate() {
             let name = entry.name.as_str();
-            let known = FILES.contains(&name) || name == BEHAVIOUR || Span::of_name(name).is_some();
+            let some = [BEHAVIOUR, PENDING].contains(&name) || Span::of_name(name).is_some();
+            let known = FILES.contains(&name) || some;
             if !known || self.files[..at].iter().any(|other| other.name == entry.name) {
                 return refuse(format!("file {:?} is unknown or named twice", entry.name));
             }

@@ -12,6 +12,7 @@
 //!     annotations.bin                 a record for each mentor transition
 //!     agent.bin                       counters, random streams, running episodes, training counts
 //!     actors.bin                      what each actor gave of itself
+//!     pending.bin                     only before a run's last tick: the batches of that tick, which are not in the replay
 //!     run.bin                         what the loop remembers (evaluations, recorder)
 //!     MANIFEST                        JSON: format, version, tick, history, generation, configuration, size and CRC-32C of each file
 //!     COMPLETE                        CRC-32C of MANIFEST; written last
@@ -26,6 +27,11 @@
 //! directory is renamed, and only then COMPLETE is written and synced. What a kill leaves behind at any point has
 //! no COMPLETE and is passed over, as is one whose files differ from its MANIFEST: [`newest_complete`] names the
 //! fault in the log and takes the next older one.
+//!
+//! A run ends within a tick, and with an evaluation that a longer run would not have played there. So its last checkpoint is for
+//! its policy alone, and no run goes on from it. The one before it is taken when all batches of the last tick have come and none
+//! has been taken in: a run that is prolonged goes on from there, and does what it would have done if it had been that long from
+//! the start. The last checkpoint does not count among those that are kept.
 //!
 //! A checkpoint says whose it is: its MANIFEST has the identity of the run's history, drawn when the run began anew, and the
 //! number of the learner that wrote it. A learner keeps, links and goes on from checkpoints of its own past alone; the tick
@@ -45,11 +51,11 @@ mod write;
 pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
 pub use read::{
-    LastLife, Loaded, load, load_actors, load_model, newest_complete, newest_life, newest_resumable,
-    newest_version,
+    LastLife, Loaded, counters, load, load_actors, load_model, newest_complete, newest_life,
+    newest_resumable, newest_version,
 };
 pub use saver::Saver;
-pub use write::{Cut, Unsynced};
+pub use write::{Cut, Taken, Unsynced};
 
 use std::path::{Path, PathBuf};
 use trestle_proto::regular_file;
@@ -68,7 +74,8 @@ const ANNOTATIONS: &str = "annotations.bin";
 const AGENT: &str = "agent.bin";
 const ACTORS: &str = "actors.bin";
 const RUN: &str = "run.bin";
-/// The files of every checkpoint beside MANIFEST and COMPLETE; BEHAVIOUR and the replay's segments come on top.
+const PENDING: &str = "pending.bin";
+/// The files of every checkpoint beside MANIFEST and COMPLETE; BEHAVIOUR, PENDING and the replay's segments come on top.
 const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
 /// Beginning of the name of a directory that is being written or removed.
 const SCRATCH: &str = ".scratch-";

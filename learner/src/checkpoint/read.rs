@@ -1,16 +1,20 @@
 //! Finding and reading checkpoints.
 
 use super::error::{CheckpointError, contents};
-use super::manifest::{self, FileEntry, Life, Manifest, fingerprint};
-use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, RUN_KIND};
-use super::{ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, TARGET};
+use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
+use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND};
+use super::{
+    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, TARGET,
+};
 use super::{directory, file, tensors, ticks};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
-use trestle_algorithm::agent::{Agent, AgentState, Parts};
+use trestle_algorithm::agent::{Agent, AgentState, Counters, Parts};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
+use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::mentor::MentorTransitions;
+use trestle_proto::observe::Part;
 use trestle_proto::plan::RunPlan;
 use trestle_qnet::Layout;
 
@@ -27,6 +31,8 @@ pub struct Loaded {
     pub actors: Vec<Vec<u8>>,
     /// What the loop had to remember.
     pub run: Vec<u8>,
+    /// The batches of the next tick, one of each actor in order, if they have come: then the actors are as they were after them.
+    pub pending: Vec<Batch>,
 }
 
 /// Tick and directory of the newest checkpoint in `run_dir` that is complete and whole: its MANIFEST is vouched for
@@ -39,8 +45,8 @@ pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, Checkpo
     newest(run_dir, |_| true)
 }
 
-/// As [`newest_complete`], of the checkpoints that a learner after `plan`'s can go on from: not the last one of a run that ended
-/// within a tick, and none of another configuration or another history, which is passed over with a warning.
+/// As [`newest_complete`], of the checkpoints that a learner after `plan`'s can go on from: not the last one of a run that has
+/// ended, and none of another layout, another configuration or another history, which is passed over with a warning.
 pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
     let (own, life) = (fingerprint(plan), Life::of(plan));
     newest(run_dir, |manifest| {
@@ -53,7 +59,14 @@ pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, P
             tracing::warn!("the checkpoint of tick {tick} is passed over: the run has gone back behind it");
             return false;
         }
-        !manifest.cut_short
+        if manifest.format != FORMAT {
+            let (format, version) = (manifest.format, &manifest.version);
+            tracing::warn!(
+                "the checkpoint of tick {tick} is passed over: it is of version {version}, with format {format}; accepted: {FORMAT}"
+            );
+            return false;
+        }
+        !manifest.ended
     })
 }
 
@@ -179,6 +192,10 @@ pub fn load(
         behaviour,
         actors: frame(dir, &manifest, ACTORS, ACTORS_KIND)?,
         run: frame(dir, &manifest, RUN, RUN_KIND)?,
+        pending: match manifest.entry(PENDING) {
+            Some(entry) => pending(dir, entry, plan)?,
+            None => Vec::new(),
+        },
     })
 }
 
@@ -210,6 +227,14 @@ pub fn load_model(dir: &Path, layout: &Layout) -> Result<Vec<f32>, CheckpointErr
     params(dir, &manifest::read(dir)?, MODEL, layout)
 }
 
+/// What the run had counted when the checkpoint in `dir` was taken.
+///
+/// # Errors
+/// As [`load`], as far as the MANIFEST is concerned.
+pub fn counters(dir: &Path) -> Result<Counters, CheckpointError> {
+    Ok(manifest::read(dir)?.counters)
+}
+
 /// What each actor gave of itself to the checkpoint in `dir`, in the order of the actors.
 ///
 /// # Errors
@@ -238,12 +263,38 @@ fn frame<T: DeserializeOwned>(
 }
 
 fn annotations(dir: &Path, manifest: &Manifest) -> Result<Vec<u32>, CheckpointError> {
-    let bytes = file::read_all(dir, entry(dir, manifest, ANNOTATIONS)?)?;
-    let refuse = contents(&dir.join(ANNOTATIONS));
-    let head: &[u8] = bytemuck::cast_slice(&ANNOTATIONS_HEAD);
+    words(dir, entry(dir, manifest, ANNOTATIONS)?, ANNOTATIONS_HEAD)
+}
+
+/// The batches of a tick of `plan`'s run.
+fn pending(dir: &Path, entry: &FileEntry, plan: &RunPlan) -> Result<Vec<Batch>, CheckpointError> {
+    let path = dir.join(&entry.name);
+    let refuse = |message: &str| contents(&path)(message);
+    let words = words(dir, entry, PENDING_HEAD)?;
+    let (obs_dim, run) = (plan.spec.obs_dim(), &plan.config.run);
+    let (mut rest, mut batches) = (&words[..], Vec::new());
+    for actor in 0..run.actors {
+        let part = Part::take(&mut rest, obs_dim)
+            .filter(|part| part.actor == actor && part.count == run.rollout)
+            .ok_or_else(|| refuse("not a batch of each actor"))?;
+        let (count, obs_dim_word) = (part.count, obs_dim as u32);
+        let header =
+            BatchHeader { run: plan.run, actor, count, obs_dim: obs_dim_word, ..BatchHeader::default() };
+        let mut batch = Batch::default();
+        batch.receive(header, part.payload, obs_dim, plan.spec.n_actions()).map_err(contents(&path))?;
+        batches.push(batch);
+    }
+    if rest.is_empty() { Ok(batches) } else { Err(refuse("more than a batch of each actor")) }
+}
+
+/// The words of a file that begins with `head`.
+fn words(dir: &Path, entry: &FileEntry, head: [u32; 2]) -> Result<Vec<u32>, CheckpointError> {
+    let bytes = file::read_all(dir, entry)?;
+    let refuse = contents(&dir.join(&entry.name));
+    let head: &[u8] = bytemuck::cast_slice(&head);
     match bytes.strip_prefix(head).map(|records| records.as_chunks::<4>()) {
         Some((words, [])) => Ok(words.iter().map(|word| u32::from_le_bytes(*word)).collect()),
         Some(_) => Err(refuse("not a whole number of words")),
-        None => Err(refuse("no annotations, or another version of them")),
+        None => Err(refuse("another kind of file, or another version of it")),
     }
 }

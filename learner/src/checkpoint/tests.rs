@@ -41,7 +41,11 @@ fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
 fn save(saver: &mut Saver, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<(), CheckpointError> {
     let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
     let weights = agent.weights().iter().map(|w| w + 1.0).collect::<Vec<_>>();
-    saver.save(&Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run }, Vec::new())?;
+    let taken = Taken::Amid;
+    saver.save(
+        &Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run, taken },
+        Vec::new(),
+    )?;
     saver.wait()
 }
 

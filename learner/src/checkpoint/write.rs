@@ -3,7 +3,8 @@
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, REPLAY, RUN, SCRATCH, TARGET,
+    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN,
+    SCRATCH, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use serde::Serialize;
@@ -13,15 +14,29 @@ use std::path::{Path, PathBuf};
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
 use trestle_proto::codec::{self, Kind, MAX_BODY};
+use trestle_proto::observe::Part;
 use trestle_proto::own_file;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
-pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 2 };
+pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 3 };
 pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
 pub(super) const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
 /// First words of `annotations.bin`: magic, and the version of the records' layout.
 pub(super) const ANNOTATIONS_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRAN"), 1];
+/// The same of `pending.bin`, whose parts are those of [`trestle_proto::observe`].
+pub(super) const PENDING_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRPE"), 1];
+
+/// When a checkpoint is taken.
+#[derive(Clone, Copy, Debug)]
+pub enum Taken<'a> {
+    /// While the run goes on.
+    Amid,
+    /// Before the run's last tick, whose batches have come, in order, as parts ([`Part`]).
+    BeforeLast(&'a [Part<'a>]),
+    /// At the run's end.
+    Last,
+}
 
 /// All that a checkpoint keeps: one cut through the run, after everything that belongs to its tick.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +53,8 @@ pub struct Cut<'a> {
     pub actors: &'a [Vec<u8>],
     /// What the loop itself has to remember.
     pub run: &'a [u8],
+    /// When it is taken.
+    pub taken: Taken<'a>,
 }
 
 /// A file of the run that must be on the disk before a checkpoint that counts on it is complete.
@@ -118,6 +135,14 @@ impl Frozen {
         new.push(frame(AGENT, AGENT_KIND, &agent.state())?);
         new.push(frame(ACTORS, ACTORS_KIND, &cut.actors)?);
         new.push(frame(RUN, RUN_KIND, &cut.run)?);
+        if let Taken::BeforeLast(parts) = cut.taken {
+            let mut words = PENDING_HEAD.to_vec();
+            for part in parts {
+                words.extend(part.header());
+                words.extend(part.payload);
+            }
+            new.push((PENDING.into(), bytemuck::cast_slice(&words).to_vec()));
+        }
         new.push((REPLAY.into(), agent.replay().head()));
         let there = saved.map(Saved::segments).unwrap_or_default();
         let spans: Vec<Span> = there.iter().map(|(span, _)| *span).collect();
@@ -137,7 +162,7 @@ impl Frozen {
             generation: life.generation,
             configuration: fingerprint(cut.plan),
             counters: agent.counters(),
-            cut_short: agent.cut_short(),
+            ended: matches!(cut.taken, Taken::Last),
             files: Vec::new(),
         };
         let keep = cut.plan.config.checkpoint.keep;
@@ -251,15 +276,22 @@ fn link_last(run_dir: &Path, tick: u64) -> Result<(), CheckpointError> {
     file::sync_dir(run_dir)
 }
 
-/// Removes all checkpoints but the newest `keep` of the past of `life` that have a COMPLETE.
+/// Removes all checkpoints but those of the past of `life` that have a COMPLETE: the newest `keep` that a run can go on from, and
+/// the run's last one if that is the newest of all.
 fn retain(run_dir: &Path, life: &Life, keep: usize) -> Result<(), CheckpointError> {
     let root = run_dir.join(CHECKPOINTS_DIR);
-    let mut kept = 0;
+    let (mut kept, mut ended) = (0, false);
     for tick in ticks(run_dir)? {
         let dir = directory(run_dir, tick);
-        if kept < keep && manifest::read(&dir).is_ok_and(|found| life.knows(&found)) {
-            kept += 1;
-        } else {
+        let stays = match manifest::read(&dir).ok().filter(|found| life.knows(found)) {
+            Some(found) if found.ended => kept == 0 && !std::mem::replace(&mut ended, true),
+            Some(_) => {
+                kept += 1;
+                kept <= keep
+            }
+            None => false,
+        };
+        if !stays {
             remove(&root, &dir)?;
         }
     }
