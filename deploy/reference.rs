@@ -7,7 +7,7 @@
 use crate::prepare::Prepared;
 use crate::supervise::display::Display;
 use crate::supervise::{Ended, HeldSignals, asking};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trestle_actor::worker::Worker;
@@ -23,7 +23,6 @@ use trestle_proto::plan::RunPlan;
 /// Trains the prepared run in this process.
 pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let (plan, dir) = (prepared.plan(), prepared.dir());
-    ensure!(plan.resume_tick.is_none(), "run.mode = reference; accepted with --resume: lockstep, free");
     let stop = Arc::new(AtomicBool::new(false));
     for signal in asking() {
         signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;

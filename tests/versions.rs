@@ -132,6 +132,12 @@ fn a_checkpoint_of_a_newer_version_is_refused_by_name() {
     let place = Place::new();
     let dir = stored(&place, OWN, "run");
     let newest = checkpoint::directory(dir.root(), newest_checkpoint(&dir).unwrap());
+    // An older one would be taken in its place.
+    for entry in fs::read_dir(dir.checkpoints()).unwrap().map(Result::unwrap) {
+        if entry.path() != newest {
+            fs::remove_dir_all(entry.path()).unwrap();
+        }
+    }
     let text = fs::read(newest.join("MANIFEST")).unwrap();
     let mut manifest: Value = serde_json::from_slice(&text).unwrap();
     let newer = checkpoint::FORMAT + 1;

@@ -185,6 +185,10 @@ impl Resolved {
 
     /// The plan of the learner to follow, and the tick of the newest checkpoint that this configuration can go on from.
     fn check_resume(&self, dir: &RunDir) -> Result<(RunPlan, u64)> {
+        ensure!(
+            self.config.run.mode != Mode::Reference,
+            "run.mode = reference; accepted with --resume: lockstep, free"
+        );
         let root = dir.root().display();
         if let Some(result) = self.complete(dir.root()) {
             bail!(
