@@ -1,15 +1,21 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
-use crate::flags::{Limits, help, presets, word};
+use crate::flags::{Limits, Target, help, presets, setting, whole, word};
 use crate::sweep::arms::Arm;
 use crate::sweep::jobs::MAX_JOBS;
 use crate::sweep::over::Over;
 use crate::sweep::seeds::Seeds;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use std::str::FromStr;
 use trestle_mentor_server::import::{Columns, Episodes};
 use trestle_proto::config::{Algo, Config as Settings, Mode};
 use trestle_proto::incarnation::Incarnation;
+use trestle_proto::limits::MAX_ACTORS;
+use trestle_proto::names;
+
+/// Greedy episodes that a command plays, at most.
+const MAX_EPISODES: u64 = 4096;
 
 /// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
 #[derive(Debug, Parser)]
@@ -29,7 +35,7 @@ pub(crate) enum Command {
     Sweep(Sweep),
     /// Tables, plots and a page from any set of runs
     Report(Report),
-    /// Play the greedy policy of a run's newest checkpoint and draw its path
+    /// Play the greedy policy of a run's checkpoint and draw its path
     Eval(Eval),
     /// Work with demonstrations
     #[command(subcommand)]
@@ -74,16 +80,16 @@ pub(crate) struct Train {
     pub(crate) source: Source,
     #[arg(long, value_parser = word::<Algo>(), help = help("run.algo"))]
     pub(crate) algo: Option<Algo>,
-    #[arg(long, value_name = "N", help = help("run.seed"))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"), help = help("run.seed"))]
     pub(crate) seed: Option<u64>,
     #[command(flatten)]
     pub(crate) limits: Limits,
     #[arg(long, value_parser = word::<Mode>(), help = help("run.mode"))]
     pub(crate) mode: Option<Mode>,
-    #[arg(long, value_name = "N", help = help("run.actors"))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u32>("run.actors"), help = help("run.actors"))]
     pub(crate) actors: Option<u32>,
     /// The run's directory; runs/CONFIG-ALGO-seedN if not given
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = Target)]
     pub(crate) out: Option<PathBuf>,
     /// Go on from the newest complete checkpoint in the directory
     #[arg(long, conflicts_with = "overwrite")]
@@ -116,7 +122,8 @@ pub(crate) struct Resume {
     pub(crate) run: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// Override one of the settings that may change: run.stop_when_solved, [env.hazard] and [supervise]; may be repeated
+    /// Override one of the settings that may change: run.stop_when_solved, checkpoint.keep, [env.hazard] and
+    /// [supervise]; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
     /// Print the result only
@@ -146,12 +153,12 @@ pub(crate) struct Sweep {
     #[arg(long, value_name = "SEEDS", required_unless_present = "resume")]
     pub(crate) seeds: Option<Seeds>,
     /// Runs at once; as many as cores and memory allow if not given
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_JOBS as i64))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=MAX_JOBS as u64))]
     pub(crate) jobs: Option<u16>,
     #[command(flatten)]
     pub(crate) limits: Limits,
     /// The sweep's directory
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = Target)]
     pub(crate) out: PathBuf,
     /// Keep the runs that are complete and go on with the others; with a higher --episodes or --env-steps prolong them all
     #[arg(long)]
@@ -167,7 +174,7 @@ pub(crate) struct Report {
     #[arg(value_name = "DIR")]
     pub(crate) runs: PathBuf,
     /// Where the report goes; DIR/report if not given
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = Target)]
     pub(crate) out: Option<PathBuf>,
 }
 
@@ -177,8 +184,39 @@ pub(crate) struct Eval {
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     /// Greedy episodes
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = whole::<u32>(1..=MAX_EPISODES))]
     pub(crate) episodes: u32,
+    /// The checkpoint, by its tick; `last` is the newest complete one
+    #[arg(long, value_name = "last|TICK", default_value = "last")]
+    pub(crate) checkpoint: Which,
+    /// Seed of the episodes' random streams; the run's own if not given
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"))]
+    pub(crate) seed: Option<u64>,
+    /// Print one JSON object instead, and draw nothing
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// One of a run's checkpoints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Which {
+    /// The newest complete one.
+    Last,
+    /// That of this tick.
+    Tick(u64),
+}
+
+impl FromStr for Which {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "last" => Ok(Self::Last),
+            _ => text.parse().map(Self::Tick).map_err(|_| {
+                format!("accepted: last, or the tick of a checkpoint{}", names::hint(text, ["last"]))
+            }),
+        }
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -188,7 +226,7 @@ pub(crate) enum Demo {
         #[command(flatten)]
         source: Source,
         /// The file to write
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = Target)]
         out: PathBuf,
         /// Replace the file if it exists
         #[arg(long)]
@@ -217,7 +255,7 @@ pub(crate) struct Inspect {
     #[arg(long, value_name = "X,Y", value_parser = pair)]
     pub(crate) axes: Option<[usize; 2]>,
     /// Draw the trajectories into this SVG file as well
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) svg: Option<PathBuf>,
     /// Replace the SVG file if it exists
     #[arg(long)]
@@ -237,10 +275,10 @@ pub(crate) struct Record {
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     /// Greedy episodes to play; those that repeat an earlier one are recorded once
-    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = whole::<u32>(1..=MAX_EPISODES))]
     pub(crate) episodes: u32,
     /// The file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) out: PathBuf,
     /// Record episodes that do not succeed as well
     #[arg(long)]
@@ -256,7 +294,7 @@ pub(crate) struct Import {
     #[arg(value_name = "FILE|FOLDER")]
     pub(crate) file: PathBuf,
     /// The file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) out: PathBuf,
     /// Part of the observations where they are a dictionary, such as `observation` or `robot/position`, or a path in the file,
     /// such as `data/demo_*/obs/joint_pos`, where * stands for the episodes
@@ -311,7 +349,7 @@ pub(crate) struct MapImport {
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
     /// The file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) out: PathBuf,
     /// The start as a cell of the source, from 0,0 at the top left
     #[arg(long, value_name = "COLUMN,ROW", value_parser = pair)]
@@ -320,7 +358,7 @@ pub(crate) struct MapImport {
     #[arg(long, value_name = "COLUMN,ROW", value_parser = pair)]
     pub(crate) goal: Option<[usize; 2]>,
     /// Which of 0 and 1 is a wall
-    #[arg(long, value_name = "0|1", default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
+    #[arg(long, value_name = "0|1", default_value_t = 1, value_parser = whole::<u8>(0..=1))]
     pub(crate) walls: u8,
     /// Replace the file if it exists
     #[arg(long)]
@@ -363,7 +401,7 @@ pub(crate) struct ActorRole {
     #[command(flatten)]
     pub(crate) role: Role,
     /// Index of the actor, from 0
-    #[arg(long)]
+    #[arg(long, value_parser = whole::<u32>(0..=u64::from(MAX_ACTORS - 1)))]
     pub(crate) index: u32,
     /// How often it has been replaced; run.mode = free
     #[arg(long, value_name = "N", default_value_t)]

@@ -10,6 +10,7 @@ mod commands;
 mod flags;
 mod prepare;
 mod reference;
+mod screen;
 mod status;
 mod stored;
 mod supervise;

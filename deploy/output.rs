@@ -39,12 +39,39 @@ pub(crate) fn words(error: &Error) -> String {
         Some(Errno::EAGAIN) => " (ulimit -u)",
         _ => "",
     };
-    text + limit
+    bounded(text) + limit
+}
+
+/// Longest message of a failure that is shown whole, characters: several screens.
+const MAX_WORDS: usize = 4000;
+/// What is shown of the end of a longer one.
+const END: usize = 1000;
+
+/// `text`, without its middle where it is long. Data of the user's can be in it, such as the names of a million columns.
+fn bounded(text: String) -> String {
+    let count = text.chars().count();
+    if count <= MAX_WORDS {
+        return text;
+    }
+    let begin: String = text.chars().take(MAX_WORDS - END).collect();
+    let end: String = text.chars().skip(count - END).collect();
+    format!("{begin} ... [{} characters are left out] ... {end}", count - MAX_WORDS)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flood_of_words_loses_its_middle() {
+        let names: Vec<String> = (0..1_000_000).map(|i| format!("column_{i}")).collect();
+        let said = words(&Error::msg(format!("`x`; accepted: {}; what else", names.join(", "))));
+        assert!(said.len() < MAX_WORDS + 100, "{}", said.len());
+        assert!(said.starts_with("`x`; accepted: column_0, ") && said.ends_with("column_999999; what else"));
+        assert!(said.contains("characters are left out"));
+        let exact = "ä".repeat(MAX_WORDS);
+        assert_eq!(words(&Error::msg(exact.clone())), exact);
+    }
 
     #[test]
     fn a_limit_of_the_shell_is_named() {

@@ -113,16 +113,36 @@ fn flags() {
     refused_training(&place, &["maze-small", "--mode", "fast"], &["fast", "lockstep"]);
     refused_training(&place, &["maze-small", "--resume", "--overwrite"], &["--resume", "--overwrite"]);
     refused_training(&place, &["maze-small", "--actors", "0"], &["run.actors = 0", "1 to 64"]);
-    refused_training(
+    for (flag, value, accepted) in [
+        ("--seed", "18446744073709551615", "run.seed = 18446744073709551615; accepted: 0 to 2^63 - 1"),
+        ("--seed", "9223372036854775808", "run.seed = 9223372036854775808; accepted: 0 to 2^63 - 1"),
+        ("--seed", "-1", "run.seed = -1; accepted: 0 to 2^63 - 1"),
+        ("--actors", "many", "run.actors = many; accepted: 1 to 64"),
+        ("--env-steps", "1e6", "run.env_steps = 1e6; accepted: 1 or more"),
+    ] {
+        refused_training(&place, &["maze-small", flag, value], &[accepted, &format!("{flag} {value}")]);
+    }
+    for out in ["--out=--weird", "--out=-"] {
+        let words = [out.trim_start_matches("--out="), "looks like a flag; accepted: ./-"];
+        refused(&place, &["train", "maze-small", "--episodes", "3", out], &words);
+    }
+    let sweep = ["sweep", "maze-small", "--seeds", "0..1", "--out", "never"];
+    refused(&place, &[&sweep[..], &["--jobs", "0"]].concat(), &["--jobs 0; accepted: 1 to 256"]);
+    refused(&place, &["actor", "--run", "never", "--index", "64"], &["--index 64; accepted: 0 to 63"]);
+    refused(
         &place,
-        &["maze-small", "--seed", "18446744073709551615"],
-        &["seed", "18446744073709551615"],
+        &["eval", "never", "--checkpoint", "lats"],
+        &["last, or the tick", "did you mean `last`?"],
     );
     refused(&place, &["train", "maze-small", "--episodes", "0"], &["run.episodes = 0", "1 or more"]);
     refused(&place, &["train"], &["PRESET|CONFIG.TOML"]);
     refused(&place, &["trian"], &["trian", "train"]);
     refused(&place, &["eval", &place.path("none")], &["none", "not a run's directory"]);
-    refused(&place, &["eval", &place.path("none"), "--episodes", "0"], &["0", "1..=4096"]);
+    refused(
+        &place,
+        &["eval", &place.path("none"), "--episodes", "0"],
+        &["--episodes 0", "accepted: 1 to 4096"],
+    );
     for role in ["learner", "mentor-server"] {
         refused(&place, &[role, "--run", &place.path("none")], &["none", "not a run's directory"]);
     }

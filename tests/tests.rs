@@ -14,6 +14,7 @@ mod determinism;
 mod doctor;
 mod documentation;
 mod errors;
+mod eval;
 mod faults;
 mod fencing;
 mod free;

@@ -1,9 +1,13 @@
 //! What `trestle demo inspect` says of a demonstration: how far its states are apart, which thresholds follow from
-//! that, and a warning where the thresholds in use are too large for it.
+//! that, and a warning where the thresholds in use are too large or too small for it.
 //!
 //! `e_th` must be smaller than what the mentor covers in a few steps. Otherwise every observer transition is similar to
 //! where the mentor goes next, and any action passes for the mentor's own or for a bridge. `e_infeas` must be smaller
 //! than what it covers in one, or an observer that stays where it is does what the mentor did.
+//!
+//! Where states are not whole numbers, and so hardly ever equal, both must also not be much smaller than that. An observer
+//! that has to hit a twentieth of a mentor step hits next to nothing ([`MOST`], our choice). The same holds where the
+//! covariance comes from a demonstration in which a feature stays as it is: an observer that differs in it at all is far away.
 //!
 //! # `auto`
 //! Both are a quarter of a KL divergence of the demonstration, which is half of its distance (our choice). `e_th`: the
@@ -22,6 +26,13 @@
 use crate::demonstration::Demonstration;
 use crate::similarity::metric::{Metric, kl};
 use std::fmt;
+
+/// So many times smaller than `auto` a threshold can be without a warning: a tenth of its distance, a twentieth of a mentor step.
+pub const MOST: f64 = 100.0;
+
+/// A part of a feature's scale that an observer does not keep to: where a demonstration varies less in a feature than this, the
+/// feature stays as it is.
+const STILL: f32 = 1e-3;
 
 /// Counts and ranges of a demonstration.
 #[derive(Clone, Debug, PartialEq)]
@@ -187,6 +198,58 @@ impl Summary {
     }
 }
 
+/// Warnings where next to nothing that an observer does can ever match the mentor, with the figures. Only for states that are not
+/// whole numbers: those are often equal. `metric` is that of the thresholds, and `scale` has the environment's scale of each
+/// feature.
+pub fn unreachable(
+    summary: &Summary,
+    metric: &Metric,
+    scale: &[f32],
+    e_th: f64,
+    e_infeas: f64,
+) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if let Some(auto) = summary.auto() {
+        for (key, value, auto, missing) in [
+            (
+                "mentor.e_th",
+                e_th,
+                auto.e_th,
+                "next to no observer state will be similar to one of the mentor's",
+            ),
+            (
+                "mentor.e_infeas",
+                e_infeas,
+                auto.e_infeas,
+                "next to no mentor transition will count as feasible",
+            ),
+        ] {
+            let least = auto / MOST;
+            if value < least {
+                warnings.push(format!(
+                    "{key} = {value} is next to nothing beside {auto}, which auto stands for: {missing}. Accepted without \
+                     this warning: {least} or more, or auto"
+                ));
+            }
+        }
+    }
+    for (index, (name, low, high)) in summary.features.iter().enumerate() {
+        let still = STILL * scale[index];
+        let mut moved = vec![0.0; metric.dim()];
+        moved[index] = still;
+        let kl = kl(&metric.whiten_all(&moved), &vec![0.0; metric.dim()]);
+        if high - low < still && f64::from(kl) > e_th.max(e_infeas) {
+            warnings.push(format!(
+                "the demonstration's feature {name} hardly varies ({low} to {high}), so that the covariance makes a \
+                 difference of {still} in it a KL of {kl}, above mentor.e_th = {e_th} and mentor.e_infeas = {e_infeas}: \
+                 next to nothing will match. Accepted without this warning: mentor.covariance = space, or a larger \
+                 mentor.sigma_floor"
+            ));
+        }
+    }
+    warnings
+}
+
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "trajectories  {} ({} ended in a terminal state)", self.trajectories, self.terminal)?;
@@ -299,5 +362,35 @@ mod tests {
         assert!(
             still.starts_with("mentor.e_infeas = 0.6 is more than the median KL of one mentor step, 0.5")
         );
+    }
+
+    #[test]
+    fn thresholds_that_nothing_can_meet_are_warned_of() {
+        let (summary, metric) = (along(&[0.0, 2.0, 4.0]), Metric::diagonal(&[1.0]).unwrap());
+        let warned = |e_th, e_infeas| unreachable(&summary, &metric, &[1.0], e_th, e_infeas);
+        assert_eq!(warned(0.005, 0.005), [] as [String; 0]);
+        let both = warned(0.004, 0.001);
+        assert_eq!(
+            both[0],
+            "mentor.e_th = 0.004 is next to nothing beside 0.5, which auto stands for: next to no observer state will be \
+             similar to one of the mentor's. Accepted without this warning: 0.005 or more, or auto"
+        );
+        assert!(both[1].starts_with("mentor.e_infeas = 0.001 is"), "{both:?}");
+        // A demonstration that does not move says nothing of steps.
+        assert!(unreachable(&along(&[7.0, 7.0]), &metric, &[1.0], 1e-6, 1e-6).is_empty());
+    }
+
+    #[test]
+    fn a_feature_that_stays_as_it_is_must_not_rule_everything_out() {
+        let mut demo = Demonstration::new(vec!["x".into(), "tilt".into()]).unwrap();
+        demo.push_trajectory(&[0.0, 3.0, 1.0, 3.0, 2.0, 3.0], true).unwrap();
+        let warned = |sigma: &[f64]| {
+            let metric = Metric::diagonal(sigma).unwrap();
+            unreachable(&summarise(&demo, &metric, 4, &[]), &metric, &[1.0, 1.0], 0.1, 0.1)
+        };
+        assert_eq!(warned(&[1.0, 1.0]), [] as [String; 0]);
+        let [warning] = &warned(&[1.0, 1e-6])[..] else { panic!("one feature") };
+        assert!(warning.contains("feature tilt hardly varies (3 to 3)"), "{warning}");
+        assert!(warning.contains("mentor.covariance = space, or a larger mentor.sigma_floor"), "{warning}");
     }
 }

@@ -1,16 +1,38 @@
 //! `trestle eval`
 
-use crate::cli::Eval;
+use crate::cli::{Eval, Which};
 use crate::output::say;
 use crate::prepare;
 use crate::stored::read_plan;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
+use trestle_proto::reply::EvaluationEpisode;
 use trestle_proto::rundir::RunDir;
+
+/// Checkpoints that a refusal names, at most.
+const MAX_NAMED: usize = 6;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Figures {
+    /// The run's directory, as it was typed.
+    run: String,
+    /// The checkpoint's tick.
+    checkpoint: u64,
+    episodes: usize,
+    mean_return: f64,
+    mean_steps: f64,
+    /// 0 to 1; null where success is not defined.
+    success_rate: Option<f64>,
+    /// The return that counts as optimal; null where none is known.
+    threshold: Option<f64>,
+}
 
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     logging::init(0, "eval", "warn");
@@ -22,34 +44,75 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
             args.run.display()
         ));
     }
-    let plan = read_plan(&dir)?;
-    let (_, path) = checkpoint::newest_complete(dir.root())?
-        .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
+    let mut plan = read_plan(&dir)?;
+    let (tick, path) = find(dir.root(), args.checkpoint)?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let weights = checkpoint::load_model(&path, &layout)?;
+    // The map and the network are made; of what is left only random streams go by the seed.
+    plan.config.run.seed = args.seed.unwrap_or(plan.config.run.seed);
     let mut worker = Worker::new(&plan, 0)?;
     // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
     let evaluation = worker.evaluate(&weights, u64::MAX, args.episodes)?;
 
-    let n = evaluation.episodes.len() as f64;
-    let mean = |of: &dyn Fn(&trestle_proto::reply::EvaluationEpisode) -> f64| {
-        evaluation.episodes.iter().map(of).sum::<f64>() / n
+    let episodes = &evaluation.episodes;
+    let mean =
+        |of: &dyn Fn(&EvaluationEpisode) -> f64| episodes.iter().map(of).sum::<f64>() / episodes.len() as f64;
+    let defined = episodes.iter().all(|episode| episode.success.is_some());
+    let figures = Figures {
+        run: args.run.display().to_string(),
+        checkpoint: tick,
+        episodes: episodes.len(),
+        mean_return: mean(&|e| e.total_reward),
+        mean_steps: mean(&|e| e.length as f64),
+        success_rate: defined.then(|| mean(&|e| f64::from(u8::from(e.success == Some(true))))),
+        threshold: plan.threshold(),
     };
-    outln!("{}, checkpoint {}", plan.spec.name, path.display());
-    outln!("  episodes      {}", evaluation.episodes.len());
-    outln!("  mean return   {:.3}", mean(&|e| e.total_reward));
-    outln!("  mean steps    {:.1}", mean(&|e| e.length as f64));
-    let defined = evaluation.episodes.iter().all(|episode| episode.success.is_some());
-    if defined {
-        outln!("  success rate  {:.2}", mean(&|e| f64::from(u8::from(e.success == Some(true)))));
+    if args.json {
+        outln!("{}", serde_json::to_string(&figures).context("cannot encode the figures")?);
+        return Ok(ExitCode::SUCCESS);
     }
-    if let Some(threshold) = plan.threshold() {
+    outln!("{}, checkpoint {}", plan.spec.name, path.display());
+    outln!("  episodes      {}", figures.episodes);
+    outln!("  mean return   {:.3}", figures.mean_return);
+    outln!("  mean steps    {:.1}", figures.mean_steps);
+    if let Some(rate) = figures.success_rate {
+        outln!("  success rate  {rate:.2}");
+    }
+    if let Some(threshold) = figures.threshold {
         outln!("  threshold     {threshold:.3}");
     }
-    if let Some(episode) = evaluation.episodes.first().filter(|episode| !episode.path.is_empty())
+    if let Some(episode) = episodes.first().filter(|episode| !episode.path.is_empty())
         && let Some(drawn) = registry().draw(&plan.config.env, &[(&episode.path, 'o')])?
     {
         outln!("{drawn}");
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Tick and directory of the checkpoint that is asked for.
+fn find(root: &Path, which: Which) -> Result<(u64, PathBuf)> {
+    let tick = match which {
+        Which::Last => {
+            return checkpoint::newest_complete(root)?.with_context(|| {
+                format!("{} holds no complete checkpoint", RunDir::new(root).checkpoints().display())
+            });
+        }
+        Which::Tick(tick) => tick,
+    };
+    let mut ticks = checkpoint::complete(root)?;
+    if ticks.contains(&tick) {
+        return Ok((tick, checkpoint::directory(root, tick)));
+    }
+    let all = ticks.len();
+    ticks.sort_by_key(|found| (found.abs_diff(tick), *found));
+    ticks.truncate(MAX_NAMED);
+    ticks.sort_unstable();
+    let named: Vec<String> = ticks.iter().map(u64::to_string).collect();
+    let nearest = if all > MAX_NAMED { ", the nearest of them" } else { "" };
+    bail!(
+        "--checkpoint {tick}: {} holds no complete checkpoint of this tick; accepted: last{}{}{nearest}",
+        root.display(),
+        if named.is_empty() { "" } else { ", " },
+        named.join(", ")
+    )
 }

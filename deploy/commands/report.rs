@@ -13,7 +13,7 @@ use trestle_proto::rundir::RunDir;
 use trestle_qnet::{Workspace, forward};
 use trestle_report::maze::{Maze, Step};
 use trestle_report::read::{Run, read_runs};
-use trestle_report::summary::{Group, tasks};
+use trestle_report::summary::{Group, arms, tasks};
 use trestle_report::write::{Report, write};
 
 /// Mazes that are drawn, at most: of the first tasks, one for each arm.
@@ -47,6 +47,9 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let title = format!("Trestle: {} runs in {}", runs.len(), args.runs.display());
     let count = notes.len();
     notes.iter().for_each(|note| crate::output::say(&format!("note: {note}")));
+    for (arm, warning) in arms(&tasks(&runs)).iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {
+        crate::output::say(&format!("warning: {}, {}: {warning}", arm.task, arm.arm));
+    }
     write(&Report { title, runs: &runs, notes, mazes }, &out)?;
     outln!("{} runs, {count} notes: {}", runs.len(), out.join("report.html").display());
     Ok(ExitCode::SUCCESS)

@@ -14,6 +14,7 @@ use trestle_learner::record::RunResult;
 use trestle_link::logging;
 use trestle_proto::config::{self, Config, Environments};
 use trestle_proto::rundir::RunDir;
+use trestle_report::effect::Effect;
 
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
@@ -149,6 +150,12 @@ fn report(out: &mut impl Write, r: &RunResult, root: &Path, quiet: bool) -> io::
         "  {} episodes, {} environment steps, {} gradient steps in {:.1} s",
         r.episodes, r.env_steps, r.grad_steps, r.wall_s
     )?;
+    if let Some(effect) = Effect::new(r.mentor_feasible_frac, r.mentor_bridged_frac, r.mentor_loss_frac) {
+        match effect.warning() {
+            Some(warning) => writeln!(out, "  warning: {warning}")?,
+            None => writeln!(out, "  mentor   {effect}")?,
+        }
+    }
     writeln!(out, "  weights_sha256  {}", r.weights_sha256)?;
     if !quiet {
         writeln!(out, "next: trestle eval {}", root.display())?;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use trestle_actor::env::{Environment, registry};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::similarity::metric::Metric;
-use trestle_algorithm::summary::{Summary, summarise};
+use trestle_algorithm::summary::{Summary, summarise, unreachable};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Config, Demos, MetricKind, PLAN, Threshold};
@@ -35,6 +35,8 @@ pub(crate) struct Mentors {
     /// All of them as one.
     pub(crate) all: Demonstration,
     pub(crate) summary: Summary,
+    /// What its figures are in.
+    metric: Metric,
     /// What is odd about their states.
     warnings: Vec<String>,
 }
@@ -82,6 +84,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.run.env_steps = typed.run.env_steps;
     own.run.stop_when_solved = typed.run.stop_when_solved;
     own.supervise = typed.supervise.clone();
+    own.checkpoint.keep = typed.checkpoint.keep;
     own.env.hazard = typed.env.hazard;
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
@@ -104,7 +107,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
             "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes, run.env_steps, run.stop_when_solved and what is in [env.hazard] and [supervise]",
+             run.episodes, run.env_steps, run.stop_when_solved, checkpoint.keep and what is in [env.hazard] and [supervise]",
             root.display()
         );
     }
@@ -178,7 +181,7 @@ fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &env.spec().scale, all.states())?;
     let velocities = if mentor.metric == MetricKind::Delta { &env.spec().velocities[..] } else { &[] };
     let summary = summarise(&all, &metric, mentor.n as usize, velocities);
-    Ok(Mentors { each, all, summary, warnings })
+    Ok(Mentors { each, all, summary, metric, warnings })
 }
 
 /// The demonstration from `source`, planned or read from a file, and what there is to warn of.
@@ -216,6 +219,10 @@ impl Resolved {
         let mut warnings = mentors.warnings.clone();
         if let (Some(e_th), Some(e_infeas)) = (mentor.e_th.known(), mentor.e_infeas.known()) {
             warnings.extend(mentors.summary.warnings(e_th, e_infeas));
+            if !self.spec.integral {
+                let (summary, metric) = (&mentors.summary, &mentors.metric);
+                warnings.extend(unreachable(summary, metric, &self.spec.scale, e_th, e_infeas));
+            }
         }
         warnings
     }

@@ -180,7 +180,6 @@ impl Sweep {
                 _ = signals.next(), if !interrupted => interrupted = true,
             }
         }
-        progress.finish();
         Ok(Swept { outcomes: unfinished(outcomes), interrupted })
     }
 

@@ -2,10 +2,9 @@
 
 use super::estimate::{Pace, duration, is_measured, seconds_left};
 use super::{Outcome, Sweep};
+use crate::screen::{Line, Part, Screen, bar, fit};
 use crate::supervise::display::Display;
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::VecDeque;
-use std::io::{IsTerminal, stderr};
 
 pub(super) struct Progress<'a> {
     sweep: &'a Sweep,
@@ -13,25 +12,31 @@ pub(super) struct Progress<'a> {
     paces: Vec<(Option<Pace>, usize)>,
     done: usize,
     to_do: usize,
-    bars: Option<(MultiProgress, ProgressBar)>,
+    /// A terminal, and the line for all runs.
+    terminal: Option<(Screen, Line)>,
 }
 
 impl<'a> Progress<'a> {
     pub(super) fn new(sweep: &'a Sweep, paces: Vec<Option<Pace>>, queue: &VecDeque<usize>) -> Self {
         let left = |arm| queue.iter().filter(|&&at| sweep.jobs[at].arm == arm).count();
         let paces: Vec<_> = paces.into_iter().enumerate().map(|(arm, pace)| (pace, left(arm))).collect();
-        let bars = (!sweep.quiet && stderr().is_terminal()).then(|| {
-            let all = MultiProgress::with_draw_target(ProgressDrawTarget::stderr());
-            let total = all.add(ProgressBar::new(queue.len() as u64));
-            // The template is a constant: it parses, or the bar keeps its default look.
-            if let Ok(style) = ProgressStyle::with_template("{bar:16} {pos}/{len} runs  {wide_msg}") {
-                total.set_style(style);
-            }
-            // Shown from the start.
-            total.tick();
-            (all, total)
+        let terminal = (!sweep.quiet).then(Screen::new).flatten().map(|screen| {
+            let total = screen.line(false);
+            (screen, total)
         });
-        Self { sweep, paces, done: 0, to_do: queue.len(), bars }
+        let progress = Self { sweep, paces, done: 0, to_do: queue.len(), terminal };
+        // Shown from the start.
+        progress.show(String::new());
+        progress
+    }
+
+    /// Shows how many runs have ended, and what is `left`.
+    fn show(&self, left: String) {
+        let Some((_, line)) = &self.terminal else { return };
+        let share = self.done as f64 / self.to_do.max(1) as f64;
+        let runs = format!("{}/{} runs", self.done, self.to_do);
+        let parts = [(1, bar(share)), (0, runs), (0, left)].map(|(rank, text)| Part { rank, text });
+        line.show(move |width| fit(&parts, width));
     }
 
     /// Says how long it will take.
@@ -57,15 +62,11 @@ impl<'a> Progress<'a> {
     /// The display of job `at`.
     pub(super) fn display(&self, at: usize) -> Display {
         let job = &self.sweep.jobs[at];
-        match &self.bars {
-            _ if self.sweep.quiet => Display::quiet(),
-            None => Display::named(&job.config.run, &self.sweep.name(at), None),
-            Some((all, total)) => Display::named(
-                &job.config.run,
-                &self.sweep.name(at),
-                Some(all.insert_before(total, ProgressBar::new(0))),
-            ),
+        if self.sweep.quiet {
+            return Display::quiet();
         }
+        let line = self.terminal.as_ref().map(|(screen, _)| screen.line(true));
+        Display::named(&job.config.run, &self.sweep.name(at), line)
     }
 
     /// Job `at` has ended after `seconds`.
@@ -90,19 +91,12 @@ impl<'a> Progress<'a> {
         };
         let measured = if is_measured(&self.paces) { "about" } else { "at most" };
         let left = duration(seconds_left(&self.paces, self.sweep.at_once));
-        match &self.bars {
-            Some((_, total)) => {
-                total.inc(1);
-                total.set_message(format!("{measured} {left} left"));
-                self.say(&said);
-            }
-            None => self.say(&format!("{}/{}  {said}; {measured} {left} left", self.done, self.to_do)),
-        }
-    }
-
-    pub(super) fn finish(&self) {
-        if let Some((_, total)) = &self.bars {
-            total.finish_and_clear();
+        let left = format!("{measured} {left} left");
+        if self.terminal.is_some() {
+            self.say(&said);
+            self.show(left);
+        } else {
+            self.say(&format!("{}/{}  {said}; {left}", self.done, self.to_do));
         }
     }
 
@@ -113,9 +107,8 @@ impl<'a> Progress<'a> {
     }
 
     fn print(&self, text: &str) {
-        match &self.bars {
-            // Where the terminal has gone nobody is reading.
-            Some((all, _)) => drop(all.println(text)),
+        match &self.terminal {
+            Some((screen, _)) => screen.print(text),
             None => crate::output::say(text),
         }
     }

@@ -397,8 +397,13 @@ impl<'a> Session<'a> {
         // In free mode the supervisor has counted since how many processes it has replaced.
         let newest = if self.plan.config.run.mode == Mode::Free { self.dir.read_plan().ok() } else { None };
         let restarts = newest.map_or(self.plan.restarts, |plan| plan.restarts);
-        let outcome = Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted };
-        Ok(self.recorder.finish(&self.agent.counters(), &gauges, outcome)?)
+        let counters = self.agent.counters();
+        let samples = counters.grad_steps * self.plan.config.learner.batch as u64;
+        let mentor_samples =
+            self.agent.mentor_summary(0..self.plan.mentor_len()).map(|mentor| [samples, mentor.used]);
+        let outcome =
+            Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted, mentor_samples };
+        Ok(self.recorder.finish(&counters, &gauges, outcome)?)
     }
 
     /// Brings `mentor.csv` and `actors.csv` up to date.

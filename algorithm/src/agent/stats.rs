@@ -73,6 +73,8 @@ pub struct MentorSummary {
     pub bridged: usize,
     /// Those that have been picked for an observer transition.
     pub visited: usize,
+    /// Samples of all gradient steps so far that were trained with the mentor's loss of one of them.
+    pub used: u64,
     /// Mean e_KL over those with an estimate; NaN without any.
     pub e_kl_mean: f64,
     /// Mean length over all bridges, observer steps; NaN without any.
@@ -87,12 +89,14 @@ impl MentorSummary {
             feasible: 0,
             bridged: 0,
             visited: 0,
+            used: 0,
             e_kl_mean: 0.0,
             bridge_len_mean: 0.0,
         };
         let (mut estimates, mut bridges) = (0u64, 0u64);
         for j in range {
             summary.visited += usize::from(mentor.visited[j] > 0);
+            summary.used += mentor.used[j];
             match mentor_term(rule, j, table, transitions, 0.0).map(|term| term.kind) {
                 Some(MentorKind::Feasible) => summary.feasible += 1,
                 Some(MentorKind::Bridged) => summary.bridged += 1,

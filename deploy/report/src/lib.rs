@@ -3,6 +3,7 @@
 //! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves;
 //! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
 //! - [`summary`]: runs grouped by task and arm, with the figures of each group and pair;
+//! - [`effect`]: how much of a mentor reached the training;
 //! - [`curves`]: many runs' records on one axis;
 //! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze;
 //! - [`mod@write`]: everything into a directory, with the page that shows it.
@@ -10,6 +11,7 @@
 //! Nothing here knows networks or environments: the caller hands in the data for pictures of a maze.
 
 pub mod curves;
+pub mod effect;
 pub mod maze;
 mod page;
 pub mod plot;

@@ -1,5 +1,6 @@
 //! The page: everything in one file, for light and dark screens and for paper.
 
+use crate::effect::Effect;
 use crate::stats::Estimate;
 use crate::summary::{ArmSummary, Comparison, Time};
 use std::fmt::Write;
@@ -88,14 +89,15 @@ fn arm_table(body: &mut String, arms: &[ArmSummary]) {
     body.push_str(
         "<h2>Arms</h2>\n<div class=\"wide\"><table>\n<tr><th>task</th><th class=\"name\">arm</th><th>complete</th><th>solved</th>\
          <th>share solved</th><th>median episodes<br>to solved</th><th>median environment<br>steps to solved</th>\
-         <th>optimal</th><th>last return,<br>mean &plusmn; std</th><th>environment<br>steps/s</th></tr>\n",
+         <th>optimal</th><th>last return,<br>mean &plusmn; std</th><th>mentor: feasible,<br>bridged, in the loss</th>\
+         <th>environment<br>steps/s</th></tr>\n",
     );
     for arm in arms {
         let count = |e: Estimate| interval(e, 0, "not reached");
         let _ = writeln!(
             body,
             "<tr><td>{}</td><td class=\"name\">{}</td><td>{} of {}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
-             <td>{}</td><td>{}</td></tr>",
+             <td>{}</td><td>{}</td><td>{}</td></tr>",
             escape(&arm.task),
             escape(&arm.arm),
             arm.complete,
@@ -110,10 +112,21 @@ fn arm_table(body: &mut String, arms: &[ArmSummary]) {
             } else {
                 "-".into()
             },
+            arm.mentor.map_or("-".into(), shares),
             if arm.wall_s > 0.0 { group(arm.env_steps as f64 / arm.wall_s, 0) } else { "-".into() },
         );
     }
     body.push_str("</table></div>\n");
+    for (arm, warning) in arms.iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {
+        let _ = writeln!(body, "<p>{}, {}: {}.</p>", escape(&arm.task), escape(&arm.arm), escape(&warning));
+    }
+}
+
+/// The shares of an effect, as cells of the table have them.
+fn shares(effect: Effect) -> String {
+    let [feasible, bridged, loss] =
+        [effect.feasible_frac, effect.bridged_frac, effect.loss_frac].map(|share| 100.0 * share);
+    format!("{feasible:.0} %, {bridged:.0} %, {loss:.1} %")
 }
 
 fn comparison_table(body: &mut String, comparisons: &[Comparison]) {

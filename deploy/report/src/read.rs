@@ -4,6 +4,7 @@
 //! single run can spoil the others'. Memory does not grow with a run's length: a series that gets longer than
 //! [`MAX_POINTS`] is thinned out to every second point, and so on.
 
+use crate::effect::Effect;
 use serde::Deserialize;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -94,6 +95,19 @@ pub struct Outcome {
     pub weights_sha256: Option<String>,
     /// Whether the run ended before its limits.
     pub interrupted: bool,
+    /// Share of the mentor's transitions that are feasible, and bridged, at the end; none without a mentor.
+    pub mentor_feasible_frac: Option<f64>,
+    /// See `mentor_feasible_frac`.
+    pub mentor_bridged_frac: Option<f64>,
+    /// Share of the samples of gradient steps that were trained with the mentor's loss.
+    pub mentor_loss_frac: Option<f64>,
+}
+
+impl Outcome {
+    /// How much of the mentor reached the training, where the run has one and says so.
+    pub fn effect(&self) -> Option<Effect> {
+        Effect::new(self.mentor_feasible_frac, self.mentor_bridged_frac, self.mentor_loss_frac)
+    }
 }
 
 /// A number that was recorded at some point of a run.

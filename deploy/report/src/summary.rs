@@ -1,5 +1,6 @@
 //! Runs grouped by task and arm, with the figures of each group and of each pair of groups.
 
+use crate::effect::Effect;
 use crate::read::{Outcome, Run};
 use crate::stats::{
     Estimate, improvement_interval, iqm_interval, mean, median_interval, ratio_interval, share,
@@ -156,6 +157,8 @@ pub struct ArmSummary {
     pub env_steps: u64,
     /// See `env_steps`.
     pub wall_s: f64,
+    /// How much of the mentor reached the training, on the average; null without a mentor.
+    pub mentor: Option<Effect>,
 }
 
 /// The median of a time.
@@ -211,6 +214,7 @@ fn arm(task: &str, group: &Group<'_>) -> ArmSummary {
         final_return_iqm: iqm_interval(&[returns]),
         env_steps: group.outcomes().map(|o| o.env_steps).sum(),
         wall_s: group.outcomes().map(|o| o.wall_s).sum(),
+        mentor: Effect::mean(&group.outcomes().filter_map(Outcome::effect).collect::<Vec<_>>()),
     }
 }
 

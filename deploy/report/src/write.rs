@@ -91,6 +91,9 @@ struct RunRow<'a> {
     threshold: Option<f64>,
     best_return: Option<f64>,
     final_return: Option<f64>,
+    mentor_feasible_frac: Option<f64>,
+    mentor_bridged_frac: Option<f64>,
+    mentor_loss_frac: Option<f64>,
     path: String,
 }
 
@@ -180,6 +183,9 @@ fn run_row(run: &Run) -> RunRow<'_> {
         threshold: of.and_then(|o| o.threshold),
         best_return: of.and_then(|o| o.best_return),
         final_return: of.and_then(|o| o.final_return),
+        mentor_feasible_frac: of.and_then(|o| o.mentor_feasible_frac),
+        mentor_bridged_frac: of.and_then(|o| o.mentor_bridged_frac),
+        mentor_loss_frac: of.and_then(|o| o.mentor_loss_frac),
         path: run.path.display().to_string(),
     }
 }

@@ -104,7 +104,17 @@ pub fn last(run_dir: &Path) -> Option<u64> {
 /// # Errors
 /// The directory cannot be listed.
 pub fn any_complete(run_dir: &Path) -> Result<bool, CheckpointError> {
-    Ok(ticks(run_dir)?.into_iter().any(|tick| directory(run_dir, tick).join(COMPLETE).exists()))
+    Ok(!complete(run_dir)?.is_empty())
+}
+
+/// The ticks of the checkpoints in `run_dir` that were finished, sound or not, the newest first.
+///
+/// # Errors
+/// The directory cannot be listed.
+pub fn complete(run_dir: &Path) -> Result<Vec<u64>, CheckpointError> {
+    let mut found = ticks(run_dir)?;
+    found.retain(|&tick| directory(run_dir, tick).join(COMPLETE).exists());
+    Ok(found)
 }
 
 /// The ticks of which there is a directory in `run_dir`, complete or not, the newest first.

@@ -97,6 +97,8 @@ pub struct Outcome {
     pub restarts: u64,
     /// Whether it ended before its limits.
     pub interrupted: bool,
+    /// Samples of all gradient steps, and those of them that were trained with the mentor's loss; none without a mentor.
+    pub mentor_samples: Option<[u64; 2]>,
 }
 
 /// The open files of a run directory and what is remembered between rows.
@@ -222,7 +224,7 @@ impl Recorder {
         if is_kept(self.evals.rows(), EVALUATIONS) {
             self.events.scalars(env_steps, &evaluation_scalars(&means))?;
         }
-        self.standing.observe(self.settings.goal, Moment { episode, env_steps }, total_reward);
+        self.standing.observe(self.settings.goal, counters, total_reward);
         Ok(total_reward)
     }
 
@@ -255,7 +257,6 @@ impl Recorder {
     /// How far the run is.
     pub fn progress(&mut self, counters: &Counters, gauges: &Gauges) -> Progress {
         self.last_progress = Instant::now();
-        let known = |value: f64| value.is_finite().then_some(value);
         let elapsed_s = self.started.elapsed().as_secs_f64();
         Progress {
             episodes: counters.episodes,
@@ -320,6 +321,9 @@ impl Recorder {
             weights_sha256: outcome.weights_sha256,
             restarts: outcome.restarts,
             interrupted: outcome.interrupted,
+            mentor_feasible_frac: known(gauges.feasible_frac),
+            mentor_bridged_frac: known(gauges.bridged_frac),
+            mentor_loss_frac: outcome.mentor_samples.and_then(|[all, used]| known(used as f64 / all as f64)),
         };
         write_result(&self.dir, &result)?;
         Ok(result)
@@ -338,6 +342,11 @@ impl Recorder {
             .map_err(error::io("encode a line of", &self.dir.join(METRICS_FILE)))?;
         self.metrics.push(&line)
     }
+}
+
+/// `value`, if it is one.
+fn known(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
 }
 
 #[cfg(test)]

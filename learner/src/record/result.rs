@@ -44,6 +44,12 @@ pub struct RunResult {
     pub restarts: u64,
     /// Whether the run ended before its limits, as after a SIGINT.
     pub interrupted: bool,
+    /// Share of the mentor's transitions that are taken as feasible at the end, 0 to 1; none without a mentor.
+    pub mentor_feasible_frac: Option<f64>,
+    /// Share of them that are infeasible and have a bridge at the end, 0 to 1.
+    pub mentor_bridged_frac: Option<f64>,
+    /// Share of the samples of all gradient steps that were trained with the mentor's loss, 0 to 1; none without a gradient step.
+    pub mentor_loss_frac: Option<f64>,
 }
 
 /// Writes `result.json` into the run directory `dir`. A reader sees the old file or the new one, never a
@@ -80,6 +86,9 @@ mod tests {
             weights_sha256: "00ff".into(),
             restarts: 0,
             interrupted: false,
+            mentor_feasible_frac: Some(0.25),
+            mentor_bridged_frac: Some(0.5),
+            mentor_loss_frac: None,
         }
     }
 
@@ -91,7 +100,8 @@ mod tests {
         let text = std::fs::read_to_string(dir.path().join(RESULT_FILE)).unwrap();
         let keys: Vec<&str> = text.lines().filter_map(|line| line.trim().split('"').nth(1)).collect();
         let documented = "algo seed env episodes env_steps grad_steps wall_s solved_episode solved_env_steps \
-            optimal_episode optimal_env_steps threshold best_return final_return weights_sha256 restarts interrupted";
+            optimal_episode optimal_env_steps threshold best_return final_return weights_sha256 restarts interrupted mentor_feasible_frac mentor_bridged_frac \
+            mentor_loss_frac";
         assert_eq!(keys, documented.split_whitespace().collect::<Vec<_>>());
         assert!(text.contains("\"optimal_episode\": null"));
         assert_eq!(serde_json::from_str::<RunResult>(&text).unwrap(), result());

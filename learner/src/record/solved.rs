@@ -2,8 +2,10 @@
 //!
 //! *Solved* is the first of three consecutive evaluations whose return is within the tolerance of the
 //! threshold; *optimal* is the same with tolerance 0. Our choice: the paper reads both off its plots.
+//! Evaluations before the first gradient step count for neither: what initial weights happen to do has not been learnt.
 
 use serde::{Deserialize, Serialize};
+use trestle_algorithm::agent::Counters;
 use trestle_proto::space::least;
 
 /// Evaluations in a row that must pass.
@@ -43,9 +45,10 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// Takes in one evaluation's mean return; without a goal nothing ever counts as solved.
-    pub fn observe(&mut self, goal: Option<Goal>, at: Moment, mean_return: f64) {
-        if let Some(goal) = goal {
+    /// Takes in the mean return of one evaluation of the weights at `counters`; without a goal nothing ever counts as solved.
+    pub fn observe(&mut self, goal: Option<Goal>, counters: &Counters, mean_return: f64) {
+        if let Some(goal) = goal.filter(|_| counters.grad_steps > 0) {
+            let at = Moment { episode: counters.episodes, env_steps: counters.env_steps };
             advance(&mut self.solved, mean_return >= least(goal.threshold, goal.tolerance), at);
             advance(&mut self.optimal, mean_return >= least(goal.threshold, 0.0), at);
         }
@@ -110,10 +113,16 @@ mod tests {
         Moment { episode: 5 * i as u64, env_steps: 100 * i as u64 + 1 }
     }
 
+    /// The counters there, after `grad_steps`.
+    fn counters(i: usize, grad_steps: u64) -> Counters {
+        let Moment { episode, env_steps } = moment(i);
+        Counters { episodes: episode, env_steps, grad_steps }
+    }
+
     fn standing(returns: &[f64]) -> Standing {
         let mut standing = Standing::default();
         for (i, value) in returns.iter().enumerate() {
-            standing.observe(Some(GOAL), moment(i), *value);
+            standing.observe(Some(GOAL), &counters(i, 1), *value);
         }
         standing
     }
@@ -145,8 +154,17 @@ mod tests {
     #[test]
     fn without_a_goal_nothing_is_solved() {
         let mut s = Standing::default();
-        (0..4).for_each(|i| s.observe(None, moment(i), 1.0));
+        (0..4).for_each(|i| s.observe(None, &counters(i, 1), 1.0));
         assert_eq!((s.solved(), s.optimal(), s.best_return()), (None, None, Some(1.0)));
+    }
+
+    #[test]
+    fn what_initial_weights_do_is_not_solved() {
+        let mut s = Standing::default();
+        (0..5).for_each(|i| s.observe(Some(GOAL), &counters(i, 0), -3.4));
+        assert_eq!((s.solved(), s.optimal(), s.best_return()), (None, None, Some(-3.4)));
+        (5..8).for_each(|i| s.observe(Some(GOAL), &counters(i, 9), -3.4));
+        assert_eq!((s.solved(), s.optimal()), (Some(moment(5)), Some(moment(5))));
     }
 
     proptest! {
@@ -163,7 +181,7 @@ mod tests {
                 if i == cut {
                     s = codec::decode(KIND, &codec::encode(KIND, &s).unwrap()).unwrap();
                 }
-                s.observe(Some(GOAL), moment(i), *value);
+                s.observe(Some(GOAL), &counters(i, 1), *value);
             }
             prop_assert_eq!(s.solved(), naive(GOAL.tolerance));
             prop_assert_eq!(s.optimal(), naive(0.0));

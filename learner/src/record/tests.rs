@@ -42,7 +42,7 @@ fn play(recorder: &mut Recorder, ticks: std::ops::RangeInclusive<u64>) {
 }
 
 fn outcome() -> Outcome {
-    Outcome { weights_sha256: "ab".into(), restarts: 0, interrupted: false }
+    Outcome { weights_sha256: "ab".into(), restarts: 0, interrupted: false, mentor_samples: Some([400, 3]) }
 }
 
 /// `evals.csv` without the column `wall_s`.
@@ -93,6 +93,7 @@ fn files_hold_what_was_recorded() {
 
     assert_eq!((result.threshold, result.solved_episode, result.best_return), (None, None, Some(-0.5)));
     assert_eq!(result.final_return, Some(-3.4));
+    assert_eq!((result.mentor_loss_frac, result.mentor_feasible_frac), (Some(0.0075), None));
     let written: RunResult =
         serde_json::from_slice(&std::fs::read(dir.path().join(RESULT_FILE)).unwrap()).unwrap();
     // Other numbers than times are such that reading decimals cannot lose a bit.

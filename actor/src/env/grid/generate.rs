@@ -2,7 +2,7 @@
 
 use super::actions::{ActionSet, IRREGULAR, REGULAR};
 use super::map::Map;
-use super::search::Search;
+use super::search::connects;
 use rand::RngCore;
 use trestle_proto::rng::Stream;
 
@@ -41,7 +41,7 @@ pub fn generate(columns: usize, rows: usize, rng: &mut Stream) -> Map {
                 map.set_wall(cell, true);
             }
         }
-        if sets.iter().any(|set| Search::new(&map, set).distance(map.goal()).is_none()) {
+        if !sets.iter().all(|set| connects(&map, set)) {
             map = before;
         }
     }
@@ -56,6 +56,7 @@ fn below(rng: &mut Stream, n: usize) -> usize {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::search::Search;
     use super::*;
     use proptest::prelude::*;
     use trestle_proto::limits::MAX_MAP_SIDE;

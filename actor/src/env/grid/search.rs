@@ -2,7 +2,8 @@
 
 use super::actions::ActionSet;
 use super::map::{Cell, Map, MapError, MapFault};
-use std::collections::VecDeque;
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
 
 /// Marks a cell that cannot be reached.
 const FAR: u32 = u32::MAX;
@@ -69,6 +70,31 @@ impl<'a> Search<'a> {
         path.reverse();
         Some(path)
     }
+}
+
+/// Whether a path leads from the start of `map` to its goal with the moves of `set`: what [`Search::distance`] says, without the
+/// distance. It looks at the cells that are nearest to the goal first, so that on an open map it meets few of them.
+pub(super) fn connects(map: &Map, set: &ActionSet) -> bool {
+    let steps = map.moves(&set.directions);
+    let far = |index| {
+        let ([column, row], goal) = (map.cell(index), map.goal());
+        Reverse(column.abs_diff(goal[0]) + row.abs_diff(goal[1]))
+    };
+    let (start, goal) = (map.index(map.start()), map.index(map.goal()));
+    let mut seen = vec![false; map.indices()];
+    seen[start] = true;
+    let mut open = BinaryHeap::from([(far(start), start)]);
+    while let Some((_, at)) = open.pop() {
+        if at == goal {
+            return true;
+        }
+        for next in steps.iter().filter_map(|&step| map.advance(at, step)) {
+            if !std::mem::replace(&mut seen[next], true) {
+                open.push((far(next), next));
+            }
+        }
+    }
+    false
 }
 
 /// The path of an optimal agent that acts with `set`, from the start to the goal, both included: the shortest one,
@@ -174,6 +200,8 @@ mod tests {
                 .map(|i| search.distance([i % map.columns(), i / map.columns()]))
                 .collect();
             prop_assert_eq!(found, naive(&map, directions));
+            let set = ActionSet::new("", directions);
+            prop_assert_eq!(connects(&map, &set), search.distance(map.goal()).is_some());
         }
 
         /// No shortest path is earlier by the order of its actions: at each cell of the path, no earlier action
