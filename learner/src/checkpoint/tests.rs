@@ -9,6 +9,7 @@ use std::fs;
 use tempfile::TempDir;
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
+use trestle_proto::observe::Part;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::LAST_LINK;
 
@@ -39,9 +40,18 @@ fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
 }
 
 fn save(saver: &mut Saver, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<(), CheckpointError> {
+    save_as(saver, plan, tick, agent, Taken::Amid)
+}
+
+fn save_as(
+    saver: &mut Saver,
+    plan: &RunPlan,
+    tick: u64,
+    agent: &Agent,
+    taken: Taken<'_>,
+) -> Result<(), CheckpointError> {
     let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
     let weights = agent.weights().iter().map(|w| w + 1.0).collect::<Vec<_>>();
-    let taken = Taken::Amid;
     saver.save(
         &Cut { plan, tick, agent, behaviour: Some(&weights), actors: &actors, run, taken },
         Vec::new(),
@@ -223,21 +233,35 @@ fn what_does_not_change_the_agent_is_no_part_of_the_fingerprint() {
 }
 
 #[test]
-fn a_run_that_ended_within_a_tick_stays_ended() {
-    let ended = plan(&["run.env_steps=22"]);
-    let (dir, agent) = run(&ended, &[5]);
-    assert!(agent.done());
-    let dir = directory(dir.path(), 5);
-    assert!(load(&dir, &ended, demonstration(&ended)).unwrap().agent.done());
-    let longer = plan(&["run.env_steps=23"]);
-    let fault = load(&dir, &longer, demonstration(&longer)).unwrap_err().to_string();
-    assert!(fault.contains("cannot go on"), "{fault}");
-    // One that ended with a tick may go on.
-    let even = plan(&["run.env_steps=25"]);
-    let (dir, _) = run(&even, &[5]);
-    assert!(load(&directory(dir.path(), 5), &longer, demonstration(&longer)).unwrap().agent.done());
-    let longer = plan(&["run.env_steps=26"]);
-    assert!(!load(&directory(dir.path(), 5), &longer, demonstration(&longer)).unwrap().agent.done());
+fn a_run_goes_on_from_before_its_last_tick() {
+    let short = plan(&["run.env_steps=22", "run.rollout=5", "checkpoint.keep=1"]);
+    let (dir, mut agent) = run(&short, &[4]);
+    let mut world = World::new(&short, 5);
+    let tick: Vec<_> = (0..short.config.run.actors).map(|actor| world.batch(actor, 5)).collect();
+    let came = || tick.iter().map(|(batch, _)| batch);
+    assert!(agent.ends_within(came()) && !agent.done());
+    let before = everything(&agent);
+    let parts: Vec<Part<'_>> = came().map(Part::of).collect();
+    let mut saver = Saver::new(dir.path());
+    save_as(&mut saver, &later(&short, 1, Some(3)), 4, &agent, Taken::BeforeLast(&parts)).unwrap();
+    tick.iter().for_each(|(batch, observed)| _ = agent.ingest(batch, observed.as_ref()).unwrap());
+    assert!(agent.done() && agent.counters().env_steps == 22);
+    let own = later(&short, 1, Some(3));
+    save_as(&mut saver, &own, 5, &agent, Taken::Last).unwrap();
+
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5, "the policy is the last one");
+    let longer = plan(&["run.env_steps=26", "run.rollout=5"]);
+    let longer = RunPlan { history: own.history, ..later(&longer, 1, Some(3)) };
+    assert_eq!(newest_resumable(dir.path(), &longer).unwrap().unwrap().0, 4);
+    let loaded = load(&directory(dir.path(), 4), &longer, demonstration(&longer)).unwrap();
+    assert!(everything(&loaded.agent) == before);
+    assert_eq!(loaded.pending.len(), tick.len());
+    for (found, (batch, _)) in loaded.pending.iter().zip(&tick) {
+        assert_eq!((found.header.actor, found.payload()), (batch.header.actor, batch.payload()));
+    }
+    // A tick of another length is none of this run's.
+    let other = RunPlan { config: plan(&["run.rollout=6"]).config, ..longer };
+    assert!(load(&directory(dir.path(), 4), &other, demonstration(&other)).is_err());
 }
 
 /// What a user of Python's safetensors sees.
