@@ -29,8 +29,11 @@ fn hindsight(batch: usize, horizon: usize, seed: u64, kernels: Kernels) -> Hinds
     Hindsight::new(goal(), layout, params, config, rng, kernels)
 }
 
+/// Actor, state, next state and flags of a transition.
+type Walked = (u32, [f32; 2], [f32; 2], u32);
+
 /// Two actors' walks over whole positions: actions are to the left, none, to the right.
-fn walks(capacity: usize, steps: usize, seed: u64) -> (Replay, Vec<(u32, [f32; 2], [f32; 2], u32)>) {
+fn walks(capacity: usize, steps: usize, seed: u64) -> (Replay, Vec<Walked>) {
     let mut replay = Replay::new(capacity, 2).unwrap();
     let mut rng = Stream::seed_from_u64(seed);
     let (mut places, mut history) = ([None; 2], Vec::new());
@@ -163,7 +166,7 @@ proptest! {
             prop_assert_eq!(tracker.at(), naive);
             let aim = naive.map(|at| {
                 let same = (at..trajectory_of.len()).filter(|&m| trajectory_of[m] == trajectory_of[at]);
-                let last = same.clone().last().unwrap();
+                let last = same.clone().next_back().unwrap();
                 same.clone().find(|&m| length(m) >= length(at) + ahead).unwrap_or(last)
             });
             prop_assert_eq!(tracker.goal(&path, &reach), aim);
