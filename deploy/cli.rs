@@ -290,7 +290,7 @@ pub(crate) struct Record {
 
 #[derive(Debug, Args)]
 pub(crate) struct Import {
-    /// A file, or the folder of a Minari data set; what it is is seen from its contents
+    /// A file, or the folder of a Minari data set; the format is detected from the contents
     #[arg(value_name = "FILE|FOLDER")]
     pub(crate) file: PathBuf,
     /// The file to write
@@ -345,7 +345,7 @@ pub(crate) enum Map {
 
 #[derive(Debug, Args)]
 pub(crate) struct MapImport {
-    /// A text or NPY file; what it is is seen from its contents
+    /// A text or NPY file; the format is detected from the contents
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
     /// The file to write

@@ -39,11 +39,11 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
     | Command::Learner(_)
     | Command::MentorServer(_) = &cli.command
     {
-        // What is in a run's directory is its user's alone to write, and whoever may enter the directory may read it,
+        // What is in a run's directory is its user's alone to write, and a user who may enter the directory may read it,
         // whatever the shell's mask says. Other commands write files of the user's, and go by the mask.
         umask(Mode::from_bits_truncate(0o022));
     }
-    // A file beyond its limit (`ulimit -f`) is an error of whoever writes it, with a name, and not the end of the process.
+    // A file beyond its limit (`ulimit -f`) is an error of the code that writes it, with a name, and not the end of the process.
     signal_hook::flag::register(SIGXFSZ, Arc::default()).context("cannot handle signals")?;
     match cli.command {
         Command::Train(args) => train::run(&args),

@@ -122,7 +122,7 @@ fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool, log: Option<&OwnLog>
             Ok(0) => return Ok(()),
             Ok(_) if byte == [pulse::LEAVE] => {
                 stop.store(true, Ordering::Relaxed);
-                // Whoever waits for a message looks up.
+                // A process that waits for a message looks up.
                 kill(Pid::this(), Signal::SIGTERM)?;
             }
             Ok(_) => {}

@@ -251,7 +251,7 @@ impl Prepared {
         Ok(checkpoint::newest_resumable(self.dir.root(), &self.plan)?.map(|(tick, _)| tick))
     }
 
-    /// The tick that the link to the newest checkpoint names, whether that is sound or not: for whoever only wants to know
+    /// The tick that the link to the newest checkpoint names, whether that is sound or not: for a caller that only wants to know
     /// whether the run gets ahead.
     pub(crate) fn last_checkpoint(&self) -> Option<u64> {
         checkpoint::last(self.dir.root())

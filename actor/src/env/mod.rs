@@ -1,4 +1,4 @@
-//! The interface of an environment, shaped like Gymnasium's, and the registry of those that a configuration can choose.
+//! The interface of an environment, shaped like Gymnasium's, and the registry of the environments to choose from.
 //!
 //! An environment is a folder here and a line of [`Registry::builtin`] in this file, which is all that names it; `grid` is what
 //! several of them share. Nothing outside

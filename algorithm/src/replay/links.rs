@@ -5,7 +5,7 @@
 //! one, as a replaced actor's does, or to one whose s is not the other's s' bit for bit: the mentor-server's
 //! [`crate::history`] draws the line at the same places.
 //!
-//! A link leads to a later transition, which the ring overwrites later: whoever is stored has a successor that is stored.
+//! A link leads to a later transition, which the ring overwrites later: a stored transition has a successor that is stored.
 //! Links follow from what is stored, so no file holds them.
 
 use super::Replay;
