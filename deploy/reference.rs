@@ -41,8 +41,8 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let lag = plan.config.run.lag == 1;
     let mut batches = vec![Batch::default(); workers.len()];
     let mut observed = Observed::default();
-    // What the actors act with, weights and guide: the newest, or with a lag those of one tick earlier.
-    let mut acting = session.agent().acting().to_vec();
+    // What the actors act with: the newest, or with a lag that of one tick earlier.
+    let mut acting = session.agent().acting().clone();
     let mut tick = 0;
     while !session.done() && !stop.load(Ordering::Relaxed) {
         tick += 1;
@@ -51,7 +51,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
             worker.collect(&acting, &collect, batch)?;
         }
         if lag {
-            acting.copy_from_slice(session.agent().acting());
+            acting.clone_from(session.agent().acting());
         }
         // Once the run has reached its limits, what the agent drops still counts for the mentor.
         let mut first_index = session.agent().counters().env_steps;
@@ -68,20 +68,20 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
         }
         session.train(tick)?;
         if !lag {
-            acting.copy_from_slice(session.agent().acting());
+            acting.clone_from(session.agent().acting());
         }
         if session.done() {
             session.request_final_evaluation();
         }
         if let Some((number, episodes)) = session.evaluate() {
-            let evaluation = workers[0].evaluate(session.agent().acting(), number, episodes)?;
+            let evaluation = workers[0].evaluate(session.agent().weights(), number, episodes)?;
             session.evaluated(&evaluation)?;
         }
     }
     let snapshots = workers.iter().map(Worker::snapshot).collect::<Result<Vec<_>, _>>()?;
     let interrupted = !session.done();
     let taken = if interrupted { Taken::Amid } else { Taken::Last };
-    session.checkpoint(lag.then_some(&acting), &snapshots, taken)?;
+    session.checkpoint(lag.then_some(acting), &snapshots, taken)?;
     let result = session.finish(interrupted)?;
     display.finish();
     Ok(if interrupted { Ended::Interrupted(Some(result)) } else { Ended::Complete(result) })

@@ -14,6 +14,7 @@ use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::{self, Batch, BatchHeader, KNOWN_FLAGS};
 use trestle_proto::codec::{self, Kind};
@@ -23,7 +24,6 @@ use trestle_proto::observe::{Answers, ObserveAnswer, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::{PLAN_KIND, RunPlan};
 use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
-use trestle_proto::weights::WeightsHeader;
 
 /// A decoder, and its name.
 pub type Decoder = (&'static str, fn(&[u8]));
@@ -53,6 +53,11 @@ fn message<H: Pod>(bytes: &[u8]) -> (H, Vec<u32>) {
     (pod_read_unaligned(&head), words(&bytes[split..]))
 }
 
+/// What actors act with, of a network of one input and two outputs.
+fn acting() -> Acting {
+    Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![1, NONE], policy: vec![0.25] }
+}
+
 fn words(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(pod_read_unaligned).collect()
 }
@@ -72,10 +77,8 @@ fn messages(bytes: &[u8]) {
     if orders.validate(7).is_ok() {
         assert!(orders.run == 7 && orders.stop < 2);
     }
-    let (header, payload) = message::<WeightsHeader>(bytes);
-    let mut into = [0.0; 4];
-    let payload: Vec<f32> = payload.into_iter().map(f32::from_bits).collect();
-    let _ = header.receive(7, &[1, 2], &payload, &mut into);
+    let (header, payload) = message::<ActingHeader>(bytes);
+    let _ = header.receive(7, &[1, 2], &payload, &mut Acting::zeros(acting().lengths()));
     let (answer, payload) = message::<ObserveAnswer>(bytes);
     let mut answers = Answers::default();
     let mut table = AnnotationTable::new(MENTOR, DIM, ACTIONS);
@@ -247,7 +250,9 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let mut batch = Batch::default();
     batch.prepare(BatchHeader { run: 7, count: 3, obs_dim: DIM as u32, ..BatchHeader::default() });
     let orders = Orders { run: 7, round: 1, ..Orders::default() };
-    let weights = [0.5_f32, -1.0, 2.0, 3.0];
+    let acting = acting();
+    let mut payload = vec![0; acting.lengths().words()];
+    acting.write(&mut payload);
     let answer = ObserveAnswer::default();
     let mut table = Vec::new();
     AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
@@ -270,7 +275,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("messages", bytes(batch.header, batch.payload())),
         ("messages", bytes(orders, &[])),
-        ("messages", bytes(WeightsHeader::new(7, 0, 4, &[1, 2], &weights), bytemuck::cast_slice(&weights))),
+        ("messages", bytes(ActingHeader::new(7, 0, 4, &[1, 2], &acting), &payload)),
         ("messages", bytes(answer, &[1, NONE, 0, 2, 0])),
         ("messages", bytemuck::cast_slice(&table).to_vec()),
         ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),

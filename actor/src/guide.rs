@@ -3,7 +3,7 @@
 //!
 //! The mentor's states come with the plan and never change. What the observer has found out about them does, and is
 //! published with the weights: a table with one entry for each mentor transition, the action that the mentor's loss of
-//! it would use, or -1.
+//! it would use, or none.
 
 use trestle_algorithm::similarity::metric::{Metric, MetricError};
 use trestle_algorithm::similarity::{Hit, Similarity};
@@ -46,17 +46,17 @@ impl Guide {
         }))
     }
 
-    /// The entry in `actions` of the mentor state nearest to `obs` among the similar ones that have one; the first of
+    /// The entry in `known` of the mentor state nearest to `obs` among the similar ones that have one; the first of
     /// equally near ones. None without any.
-    pub fn action(&mut self, obs: &[f32], actions: &[f32]) -> Option<u32> {
+    pub fn action(&mut self, obs: &[f32], known: &[u32]) -> Option<u32> {
         self.whitened.clear();
         self.metric.whiten(obs, &mut self.scratch, &mut self.whitened);
         self.similarity.states(&self.whitened, &mut self.stack, &mut self.hits);
-        let known = self.hits.iter().filter_map(|hit| {
+        let nearby = self.hits.iter().filter_map(|hit| {
             let j = self.transition_of[hit.state as usize];
-            let action = *actions.get(j as usize).filter(|_| j != NONE)?;
-            (action >= 0.0).then_some((hit.kl, action as u32))
+            let action = *known.get(j as usize).filter(|_| j != NONE)?;
+            (action != NONE).then_some((hit.kl, action))
         });
-        known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, action)| action)
+        nearby.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, action)| action)
     }
 }

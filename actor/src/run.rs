@@ -180,12 +180,12 @@ impl<L: ActorLink> Serving<'_, L> {
             return Ok(true);
         }
         let wanted = self.orders.weights_version;
-        let Some((version, acting)) = self.link.weights(self.generation, wanted)? else {
+        let Some((version, acting)) = self.link.acting(self.generation, wanted)? else {
             return Ok(false);
         };
         if let Work::Evaluation = work {
             let evaluation =
-                self.worker.evaluate(acting, self.orders.evaluation - 1, self.orders.episodes)?;
+                self.worker.evaluate(&acting.weights, self.orders.evaluation - 1, self.orders.episodes)?;
             self.played = self.orders.evaluation;
             self.reply(self.played, EVALUATION, codec::encode(EVALUATION_KIND, &evaluation)?);
         } else {

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use trestle_algorithm::similarity::metric::MetricError;
 use trestle_link::pulse;
+use trestle_proto::acting::{Acting, Lengths};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
@@ -56,15 +57,13 @@ pub enum ActorError {
         /// The largest one.
         last: u32,
     },
-    /// Weights of another network.
-    #[error(
-        "weights of {found} parameters and guiding actions; this run's network and mentor have {expected}"
-    )]
-    Params {
-        /// Their number.
-        found: usize,
-        /// The network's.
-        expected: usize,
+    /// Weights of another network, or a guide of another kind.
+    #[error("there are {found} to act with; this run has {expected}")]
+    Acting {
+        /// Their lengths.
+        found: Lengths,
+        /// This run's.
+        expected: Lengths,
     },
     /// Too much work, or none.
     #[error("{amount} {what} are asked for; accepted: 1 to {MAX_ROLLOUT}")]
@@ -150,8 +149,8 @@ pub struct Worker {
     exploration: config::Exploration,
     policy: Policy,
     guide: Option<Guide>,
-    /// Entries of the guide's table.
-    guide_len: usize,
+    /// Lengths of what it acts with.
+    lengths: Lengths,
     env: Box<dyn Environment>,
     /// For greedy episodes, so that they leave `env` alone.
     evaluation_env: Box<dyn Environment>,
@@ -233,7 +232,7 @@ impl Worker {
             exploration: plan.config.exploration.clone(),
             policy: Policy::new(layout, encoding, kernels_of(plan)?),
             guide: Guide::new(plan)?,
-            guide_len: plan.guide_len(),
+            lengths: plan.acting(),
             env,
             evaluation_env: hazards.around(registry().build(&plan.config.env)?, HazardScope::Evaluation),
             success: plan.success(),
@@ -278,27 +277,27 @@ impl Worker {
         self.obs.len()
     }
 
-    /// Numbers that it acts with: the parameters of the network, and the guide's table behind them.
-    pub fn n_acting(&self) -> usize {
-        self.policy.n_params() + self.guide_len
+    /// Lengths of what it acts with.
+    pub fn lengths(&self) -> Lengths {
+        self.lengths
     }
 
-    /// Takes `order.steps` steps with `acting`, the flat parameters and the guide's table, and writes them to `batch`,
-    /// header included; an episode that ends is followed by the next one. Allocates only while `batch` grows.
+    /// Takes `order.steps` steps with `acting` and writes them to `batch`, header included; an episode that ends is followed
+    /// by the next one. Allocates only while `batch` grows.
     ///
     /// Step s of actor i explores with the ε of environment step `order.env_steps + i * order.steps + s`: the place
     /// that the step has among those of all actors.
     ///
     /// # Errors
-    /// Parameters of another network, or an amount out of range; nothing has happened then. An environment that fails or
-    /// gives what is not finite.
-    pub fn collect(&mut self, acting: &[f32], order: &Collect, batch: &mut Batch) -> Result<(), ActorError> {
-        let expected = self.n_acting();
-        if acting.len() != expected {
-            return Err(ActorError::Params { found: acting.len(), expected });
+    /// Parts of other lengths, or an amount out of range; nothing has happened then. An environment that fails or gives what
+    /// is not finite.
+    pub fn collect(&mut self, acting: &Acting, order: &Collect, batch: &mut Batch) -> Result<(), ActorError> {
+        let (found, expected) = (acting.lengths(), self.lengths);
+        if found != expected {
+            return Err(ActorError::Acting { found, expected });
         }
         check_amount("steps", order.steps)?;
-        let (params, actions) = acting.split_at(self.policy.n_params());
+        let weights = &acting.weights;
         batch.prepare(BatchHeader {
             run: order.run,
             round: order.round,
@@ -315,10 +314,11 @@ impl Worker {
             let epsilon = schedule::actor_epsilon(&self.exploration, at, self.index, self.actors);
             let (obs, rng) = (&self.obs, &mut self.explore);
             let action = match &mut self.guide {
-                None => self.policy.act(params, obs, epsilon, rng),
+                None => self.policy.act(weights, obs, epsilon, rng),
                 Some(guide) => {
                     let share = schedule::guide(&self.exploration, at);
-                    self.policy.act_guided(params, obs, epsilon, share, rng, || guide.action(obs, actions))
+                    let known = &acting.known;
+                    self.policy.act_guided(weights, obs, epsilon, share, rng, || guide.action(obs, known))
                 }
             };
             let step = self.env.step(action, &mut self.next_obs)?;
@@ -342,8 +342,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Plays `episodes` greedy episodes with the flat parameters that `acting` begins with, in an environment of their
-    /// own. Their resets draw from a stream that depends on the run's seed and `evaluation`, its number from 0, alone; the
+    /// Plays `episodes` greedy episodes with the flat parameters `weights`, in an environment of their own. Their resets draw from a stream that depends on the run's seed and `evaluation`, its number from 0, alone; the
     /// collecting side of the actor is untouched.
     ///
     /// The paths of the first episodes are returned, as many as fit into a reply; those of the others are empty.
@@ -352,18 +351,21 @@ impl Worker {
     /// As [`Worker::collect`].
     pub fn evaluate(
         &mut self,
-        acting: &[f32],
+        weights: &[f32],
         evaluation: u64,
         episodes: u32,
     ) -> Result<Evaluation, ActorError> {
-        let expected = self.policy.n_params();
-        let params = acting.get(..expected).ok_or(ActorError::Params { found: acting.len(), expected })?;
+        let expected = Lengths { weights: self.policy.n_params(), ..Lengths::default() };
+        if weights.len() != expected.weights {
+            let found = Lengths { weights: weights.len(), ..Lengths::default() };
+            return Err(ActorError::Acting { found, expected });
+        }
         check_amount("episodes", episodes)?;
         let mut rng = stream(self.seed, Purpose::Evaluation, evaluation);
         let mut room = MAX_PATH_FEATURES;
         let mut played = Vec::with_capacity(episodes as usize);
         for _ in 0..episodes {
-            let episode = self.play(params, &mut rng, room, evaluation)?;
+            let episode = self.play(weights, &mut rng, room, evaluation)?;
             // Once a path has been left out, all later ones are.
             room = if episode.path.is_empty() { 0 } else { room - episode.path.len() };
             played.push(episode);
@@ -374,7 +376,7 @@ impl Worker {
     /// One greedy episode of the evaluation with this number, its path left out if it has more than `room` features.
     fn play(
         &mut self,
-        params: &[f32],
+        weights: &[f32],
         rng: &mut Stream,
         room: usize,
         evaluation: u64,
@@ -395,7 +397,7 @@ impl Worker {
         };
         record(&self.evaluation_obs);
         let (last, whole) = loop {
-            let action = self.policy.greedy(params, &self.evaluation_obs);
+            let action = self.policy.greedy(weights, &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
             check_finite(index, moment, &self.evaluation_obs, step.reward)?;

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use trestle_proto::NONE;
 use trestle_proto::plan::MentorPart;
 use trestle_proto::waypoints::Waypoints;
 
@@ -56,9 +57,14 @@ fn order(round: u64, steps: u32) -> Collect {
 
 /// `n` batches of `amount` steps.
 fn batches(worker: &mut Worker, params: &[f32], first: u64, n: u64, amount: u32) -> Vec<Batch> {
+    guided_batches(worker, &Acting::of_weights(params.to_vec()), first, n, amount)
+}
+
+/// The same with a guide.
+fn guided_batches(worker: &mut Worker, acting: &Acting, first: u64, n: u64, amount: u32) -> Vec<Batch> {
     let mut collect = |t| {
         let mut batch = Batch::default();
-        worker.collect(params, &order(t, amount), &mut batch).unwrap();
+        worker.collect(acting, &order(t, amount), &mut batch).unwrap();
         batch
     };
     (first..first + n).map(&mut collect).collect()
@@ -71,7 +77,7 @@ fn guided_corridor(share: f64) -> RunPlan {
     let mut plan = corridor("S....G\n", &sets);
     plan.mentors = vec![MentorPart { name: "line".into(), transitions: 5 }];
     let states = (0..6).flat_map(|x| [x as f32, 0.0]).collect();
-    let (transition_of, progress) = (vec![0, 1, 2, 3, 4, trestle_proto::NONE], vec![0.0; 6]);
+    let (transition_of, progress) = (vec![0, 1, 2, 3, 4, NONE], vec![0.0; 6]);
     plan.waypoints = Some(Waypoints { states, transition_of, progress });
     plan
 }
@@ -81,14 +87,15 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
     let plan = guided_corridor(1.0);
     let mut worker = Worker::new(&plan, 0).unwrap();
     // East is known everywhere but in the fourth cell, where west is, so that it never gets further.
-    let acting = [always(&plan, 0), vec![1.0, 1.0, 1.0, 0.0, -1.0]].concat();
-    assert_eq!(worker.n_acting(), acting.len());
-    let batch = batches(&mut worker, &acting, 1, 1, 7).remove(0);
+    let acting = |known: [u32; 5]| Acting { known: known.to_vec(), ..Acting::of_weights(always(&plan, 0)) };
+    let east = acting([1, 1, 1, 0, NONE]);
+    assert_eq!(worker.lengths(), east.lengths());
+    let batch = guided_batches(&mut worker, &east, 1, 1, 7).remove(0);
     assert_eq!(batch.actions(), [1, 1, 1, 0, 1, 0, 1]);
     // Without the table nothing is done, and nothing is known of a table without entries.
-    assert!(worker.collect(&always(&plan, 0), &order(2, 7), &mut Batch::default()).is_err());
-    let unknown = [always(&plan, 0), vec![-1.0; 5]].concat();
-    let explored = batches(&mut worker, &unknown, 2, 30, 7);
+    let weights = Acting::of_weights(always(&plan, 0));
+    assert!(worker.collect(&weights, &order(2, 7), &mut Batch::default()).is_err());
+    let explored = guided_batches(&mut worker, &acting([NONE; 5]), 2, 30, 7);
     let actions: Vec<u32> = explored.iter().flat_map(|batch| batch.actions().to_vec()).collect();
     let east = actions.iter().sum::<u32>();
     assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
@@ -100,9 +107,11 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
 fn a_share_of_the_exploring_steps_is_guided() {
     let plan = guided_corridor(0.5);
     let mut worker = Worker::new(&plan, 0).unwrap();
-    let acting = [always(&plan, 0), vec![1.0; 5]].concat();
-    let actions: Vec<u32> =
-        batches(&mut worker, &acting, 1, 100, 10).iter().flat_map(|batch| batch.actions().to_vec()).collect();
+    let acting = Acting { known: vec![1; 5], ..Acting::of_weights(always(&plan, 0)) };
+    let actions: Vec<u32> = guided_batches(&mut worker, &acting, 1, 100, 10)
+        .iter()
+        .flat_map(|batch| batch.actions().to_vec())
+        .collect();
     // Half guided, of the others half by chance.
     let east = actions.iter().sum::<u32>();
     assert!((690..810).contains(&east), "{east} of 1000");
@@ -113,7 +122,7 @@ fn batches_are_complete_and_continuous() {
     let plan = plan(&["run.actors=2", "env.step_limit=50"]);
     let params = random_params(&plan);
     let mut worker = Worker::new(&plan, 1).unwrap();
-    assert_eq!((worker.index(), worker.obs_dim(), worker.n_acting()), (1, 2, params.len()));
+    assert_eq!((worker.index(), worker.obs_dim(), worker.lengths().words()), (1, 2, params.len()));
     let (mut expected, mut obs, mut ends) = (FIRST, vec![0.0, 0.0], 0);
     for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
         let header = BatchHeader {

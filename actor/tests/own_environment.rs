@@ -6,6 +6,7 @@
 use rand::Rng;
 use trestle_actor::env::{EnvError, Environment, Kind, Registry, Step, install, registry};
 use trestle_actor::worker::Worker;
+use trestle_proto::acting::Acting;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec;
 use trestle_proto::config::accepts::between;
@@ -122,16 +123,16 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
 
     // A batch of training, and a snapshot in the middle of an episode.
     let mut worker = Worker::new(&plan, 0).unwrap();
-    let weights = vec![0.0; worker.n_acting()];
+    let acting = Acting::zeros(worker.lengths());
     let order = Collect { run: 1, round: 1, steps: 23, ..Collect::default() };
     let mut batch = Batch::default();
-    worker.collect(&weights, &order, &mut batch).unwrap();
+    worker.collect(&acting, &order, &mut batch).unwrap();
     assert!((0..23).any(|i| batch.transition(i).terminated()));
     assert!((0..23).all(|i| !batch.transition(i).succeeded()));
     worker.restore(&worker.snapshot().unwrap()).unwrap();
 
     // Always to the left: every episode ends by falling, after one step or two. That is no success.
-    let played = worker.evaluate(&weights, 0, 20).unwrap().episodes;
+    let played = worker.evaluate(&acting.weights, 0, 20).unwrap().episodes;
     assert!(played.iter().all(|episode| episode.terminated && episode.length <= 2));
     assert_eq!(plan.success(), Success::Undefined);
     assert!(played.iter().all(|episode| episode.success.is_none()));

@@ -18,6 +18,7 @@ use std::time::Duration;
 use trestle_bench::walk::World;
 use trestle_link::iceoryx::{Domain, HeldDomain, IceoryxLearner, Services};
 use trestle_link::{FromActor, LearnerLink};
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
 use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Part};
@@ -25,7 +26,6 @@ use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::reply::JOINED;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
-use trestle_proto::weights::WeightsHeader;
 
 /// Mentor transitions of the plan: they only say how large an answer may get.
 const MENTOR: usize = 100;
@@ -140,7 +140,7 @@ pub(super) struct Learner {
     plan: RunPlan,
     /// Batches that each actor sends a tick.
     burst: u32,
-    weights: Vec<f32>,
+    acting: Acting,
     /// The last tick, and the last one that published weights.
     number: u64,
     version: u64,
@@ -159,9 +159,8 @@ impl Learner {
         for signal in [SIGINT, SIGTERM] {
             signal_hook::flag::register(signal, interrupted.clone()).context("cannot handle signals")?;
         }
-        let n_params = trestle_qnet::Layout::new(&plan.sizes())?.n_params();
         Ok(Self {
-            weights: vec![0.5; n_params],
+            acting: Acting::of_weights(vec![0.5; plan.acting().weights]),
             number: 0,
             version: 0,
             index: 0,
@@ -242,7 +241,7 @@ impl Exchange for SharedMemory {
         let Self { link, learner, peers } = self;
         let orders = learner.next(publish)?;
         if orders.weights_version == orders.round {
-            link.send_weights(orders.weights_version, &learner.weights)?;
+            link.send_acting(orders.weights_version, &learner.acting)?;
         }
         link.send_orders(&orders)?;
         let mut spare = Batch::default();
@@ -299,13 +298,12 @@ impl Exchange for Sockets {
         let orders = learner.next(publish)?;
         let fresh = orders.weights_version == orders.round;
         let sizes: Vec<u32> = learner.plan.sizes().iter().map(|&n| n as u32).collect();
-        let header =
-            WeightsHeader::new(learner.plan.run, 0, orders.weights_version, &sizes, &learner.weights);
+        let header = ActingHeader::new(learner.plan.run, 0, orders.weights_version, &sizes, &learner.acting);
         for actor in actors.iter_mut() {
             actor.write_all(bytes_of(&orders))?;
             if fresh {
                 actor.write_all(bytes_of(&header))?;
-                actor.write_all(cast_slice(&learner.weights))?;
+                actor.write_all(cast_slice(&learner.acting.weights))?;
             }
         }
         let (obs_dim, n_actions) = (learner.plan.spec.obs_dim(), learner.plan.spec.n_actions());

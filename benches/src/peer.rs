@@ -12,6 +12,7 @@ use trestle_bench::walk::{Walk, World};
 use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
 use trestle_link::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::NONE;
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Part};
@@ -19,7 +20,6 @@ use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, UNKNOWN_OP};
 use trestle_proto::rundir::RunDir;
-use trestle_proto::weights::WeightsHeader;
 
 /// Serves a benchmark until its process is gone. `args`: the role, the directory with the plan, the actor's index, and
 /// how many batches it sends a tick.
@@ -53,7 +53,7 @@ struct Actor {
     index: u32,
     walk: Walk,
     batch: Batch,
-    params: Vec<f32>,
+    acting: Acting,
     sizes: Vec<u32>,
     rollout: u32,
 }
@@ -65,7 +65,7 @@ impl Actor {
             index,
             walk: World::new(plan.spec.obs_dim(), plan.mentor_len().max(2), 0.0).walk(),
             batch: Batch::default(),
-            params: vec![0.0; sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum()],
+            acting: Acting::zeros(plan.acting()),
             sizes: sizes.iter().map(|&n| n as u32).collect(),
             rollout: plan.config.run.rollout,
         }
@@ -95,7 +95,7 @@ fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() ->
     link.hello(stop)?;
     while !stop() {
         let Some(orders) = link.recv_orders(WAIT_SLICE)? else { continue };
-        link.weights(0, orders.weights_version)?;
+        link.acting(0, orders.weights_version)?;
         let batch = actor.answer(&orders);
         for _ in 0..burst {
             link.send_batch(batch)?;
@@ -107,17 +107,17 @@ fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() ->
 fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<()> {
     let mut learner = UnixStream::connect(path)?;
     let mut actor = Actor::new(plan, index);
-    let (mut version, mut received) = (0, actor.params.clone());
+    let (mut version, mut received) = (0, vec![0; actor.acting.lengths().words()]);
     loop {
         let mut orders = Orders::default();
         learner.read_exact(bytes_of_mut(&mut orders))?;
         orders.validate(plan.run)?;
         if orders.weights_version != version {
             version = orders.weights_version;
-            let mut header = WeightsHeader::default();
+            let mut header = ActingHeader::default();
             learner.read_exact(bytes_of_mut(&mut header))?;
             learner.read_exact(cast_slice_mut(&mut received))?;
-            header.receive(plan.run, &actor.sizes, &received, &mut actor.params)?;
+            header.receive(plan.run, &actor.sizes, &received, &mut actor.acting)?;
         }
         let batch = actor.answer(&orders);
         for _ in 0..burst {

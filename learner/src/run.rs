@@ -16,6 +16,7 @@ use crate::record::{Progress, RunResult};
 use crate::session::{Resumed, Session, SessionError};
 use std::time::{Duration, Instant};
 use trestle_link::{FromActor, LearnerLink, LinkError, Stop, logging, pulse};
+use trestle_proto::acting::Acting;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
@@ -132,7 +133,7 @@ struct Loop<'a, L> {
     snapshots: Vec<Option<Vec<u8>>>,
     /// What the actors act with where it is not the agent's newest: until the first publication of a resumed run, and
     /// for the checkpoint that is being taken.
-    behaviour: Option<Vec<f32>>,
+    behaviour: Option<Acting>,
     /// The round of the last checkpoint that the run can go on from.
     saved: Option<u64>,
     stop: Stop<'a>,
@@ -222,9 +223,9 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     fn begin(&mut self) -> Result<(), RunError> {
         let tick = self.session.tick();
         match self.behaviour.take() {
-            Some(weights) => {
+            Some(acting) => {
                 let version = tick.saturating_sub(u64::from(self.plan.config.run.lag));
-                self.link.send_weights(version, &weights)?;
+                self.link.send_acting(version, &acting)?;
                 self.orders.weights_version = version;
             }
             None => self.publish_weights()?,
@@ -484,7 +485,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
 
     fn publish_weights(&mut self) -> Result<(), RunError> {
         self.orders.weights_version = self.session.tick();
-        Ok(self.link.send_weights(self.session.tick(), self.session.agent().acting())?)
+        Ok(self.link.send_acting(self.session.tick(), self.session.agent().acting())?)
     }
 
     /// Puts into the orders what each actor may send next: in lockstep one batch, in free mode as many as its window holds.
@@ -516,7 +517,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         if saving && self.barrier {
             // With a lag the agent learns on before the checkpoint is written.
             let older = !self.came.is_empty();
-            self.behaviour = older.then(|| self.session.agent().acting().to_vec());
+            self.behaviour = older.then(|| self.session.agent().acting().clone());
             self.snapshots.fill(None);
             self.orders.snapshot += 1;
         }
@@ -541,7 +542,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         }
         let snapshots = self.await_snapshots()?;
         self.saved = Some(self.session.tick());
-        Ok(self.session.checkpoint(self.behaviour.take().as_deref(), &snapshots, taken)?)
+        Ok(self.session.checkpoint(self.behaviour.take(), &snapshots, taken)?)
     }
 
     /// Those of all actors, once they have come, and the evaluation that was asked for has, too.

@@ -14,6 +14,7 @@ use std::ops::Range;
 use std::time::{Duration, Instant};
 use trestle_algorithm::agent::{Agent, AgentError, Counters, Episode, TrainStats};
 use trestle_link::pulse;
+use trestle_proto::acting::Acting;
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::Mode;
@@ -26,7 +27,7 @@ use trestle_proto::reply::Evaluation;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 5 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 6 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -104,16 +105,16 @@ struct State {
     evaluated_at: Counters,
     solved_by: Option<Counters>,
     actors: Vec<ActorRow>,
-    /// The guide that the actors act with in the next tick, where it is not the agent's newest.
-    guide: Vec<f32>,
+    /// What the actors act with in the next tick, where it is not the agent's newest.
+    behaviour: Option<Acting>,
 }
 
 /// A session that goes on from a checkpoint, and what the rest of the run needs from there.
 pub struct Resumed<'a> {
     /// The session after the checkpoint's tick.
     pub session: Session<'a>,
-    /// Weights and guide that the actors act with in the next tick, where they are not the agent's newest.
-    pub behaviour: Option<Vec<f32>>,
+    /// What the actors act with in the next tick, where it is not the agent's newest.
+    pub behaviour: Option<Acting>,
     /// The batches of the next tick, if they have come.
     pub pending: Vec<Batch>,
 }
@@ -177,11 +178,7 @@ impl<'a> Session<'a> {
             since: Instant::now(),
             progress: Box::new(progress),
         };
-        let behaviour = loaded.behaviour.map(|mut params| {
-            params.extend(&state.guide);
-            params
-        });
-        Ok(Resumed { session, behaviour, pending: loaded.pending })
+        Ok(Resumed { session, behaviour: state.behaviour, pending: loaded.pending })
     }
 
     /// The other processes have answered: time counts from here, and the result of an earlier start is gone.
@@ -357,17 +354,15 @@ impl<'a> Session<'a> {
         every > 0 && after / every > before / every
     }
 
-    /// Takes a checkpoint after the last trained tick. `behaviour`: weights and guide that actors act with in the next
-    /// tick, where they are not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
+    /// Takes a checkpoint after the last trained tick. `behaviour`: what actors act with in the next tick, where
+    /// it is not the newest; `actors`: their snapshots, in order. It is written while the run goes on.
     pub fn checkpoint(
         &mut self,
-        behaviour: Option<&[f32]>,
+        behaviour: Option<Acting>,
         actors: &[Vec<u8>],
         taken: Taken<'_>,
     ) -> Result<(), SessionError> {
         let start = Instant::now();
-        let n_params = self.agent.network().layout().n_params();
-        let (behaviour, guide) = behaviour.map(|acting| acting.split_at(n_params)).unzip();
         let (recorder, records) = self.recorder.checkpoint()?;
         let state = State {
             recorder,
@@ -377,11 +372,11 @@ impl<'a> Session<'a> {
             evaluated_at: self.evaluated_at,
             solved_by: self.solved_by,
             actors: self.actors.clone(),
-            guide: guide.unwrap_or_default().to_vec(),
+            behaviour,
         };
         let run = codec::encode(KIND, &state)?;
         let (plan, tick, agent) = (self.plan, self.tick, &self.agent);
-        let cut = Cut { plan, tick, agent, behaviour, actors, run: &run, taken };
+        let cut = Cut { plan, tick, agent, actors, run: &run, taken };
         self.saver.save(&cut, records)?;
         self.write_tables()?;
         tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");

@@ -3,6 +3,7 @@
 //!
 //! Nothing here sends, waits or starts anything, and this crate depends on no other member of the workspace.
 
+pub mod acting;
 pub mod annotation;
 pub mod batch;
 pub mod codec;
@@ -24,7 +25,6 @@ pub mod rundir;
 pub mod schedule;
 pub mod space;
 pub mod waypoints;
-pub mod weights;
 
 /// Marks "none" wherever an index or an action travels as a plain `u32`.
 pub const NONE: u32 = u32::MAX;

@@ -1,6 +1,7 @@
 //! The plan of a run: all that a child process needs to know, written by the supervisor into the run's directory before
 //! a child starts.
 
+use crate::acting::Lengths;
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind, Mode};
 use crate::limits::TRANSITIONS_BUFFER;
@@ -50,10 +51,14 @@ impl RunPlan {
         self.mentors.iter().map(|part| part.transitions).sum()
     }
 
-    /// Entries of the table of guiding actions that is published with the weights: one for each mentor transition with
-    /// guided exploration, otherwise none.
-    pub fn guide_len(&self) -> usize {
-        if self.config.guided() { self.mentor_len() } else { 0 }
+    /// The lengths of what actors act with. There is a known action, or none, for each mentor transition where exploration is
+    /// guided by them.
+    pub fn acting(&self) -> Lengths {
+        Lengths {
+            weights: parameters(&self.sizes()),
+            known: if self.config.guided() { self.mentor_len() } else { 0 },
+            policy: 0,
+        }
     }
 
     /// The plan as bytes of a file.
@@ -111,4 +116,9 @@ impl RunPlan {
             None => Success::Undefined,
         }
     }
+}
+
+/// Parameters of a fully connected network whose layers have these `sizes`, biases included.
+fn parameters(sizes: &[usize]) -> usize {
+    sizes.windows(2).map(|w| w[0] * w[1] + w[1]).sum()
 }

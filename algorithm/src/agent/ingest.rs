@@ -42,7 +42,7 @@ impl Agent {
             mentor.annotations.apply(&observed.changed)?;
             mentor.searches_cut_short += u64::from(observed.cut_short);
             for record in observed.changed.chunks_exact(record_words(self.replay.obs_dim())) {
-                self.renew_guide(record[0] as usize);
+                self.renew_known(record[0] as usize);
             }
         }
         let mut ingested = Ingested::default();

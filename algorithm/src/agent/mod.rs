@@ -34,6 +34,8 @@ use crate::shaping::Shaping;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
 use step::Step;
+use trestle_proto::NONE;
+use trestle_proto::acting::Acting;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::Batch;
 use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionKind};
@@ -42,9 +44,6 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::space::Success;
 use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
-
-/// The guide's entry of a mentor transition of which no action is known.
-const UNKNOWN: f32 = -1.0;
 
 /// All that learns. See the module for how it is used.
 #[derive(Debug)]
@@ -66,9 +65,8 @@ pub struct Agent {
     /// The unfinished episode of each actor.
     running: Vec<Running>,
     step: Step,
-    /// What actors get: a copy of the online parameters as of the last [`Agent::train`], and behind them, with guided
-    /// exploration, the action of each mentor transition, or -1.
-    acting: Vec<f32>,
+    /// What actors get: a copy of the online parameters as of the last [`Agent::train`], and what guides them.
+    acting: Acting,
 }
 
 /// What the agent takes from the plan.
@@ -160,9 +158,10 @@ impl Agent {
             transitions,
         });
         let seed = plan.config.run.seed;
-        let mut acting = init(&layout, &mut stream(seed, Purpose::Weights, 0));
-        let network = QNetwork::new(layout.clone(), &acting)?.with_kernels(kernels);
-        acting.resize(acting.len() + plan.guide_len(), UNKNOWN);
+        let mut acting = Acting::zeros(plan.acting());
+        acting.weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
+        acting.known.fill(NONE);
+        let network = QNetwork::new(layout.clone(), &acting.weights)?.with_kernels(kernels);
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch, kernels),
             adam: Adam::new(layout.n_params()),
@@ -209,23 +208,21 @@ impl Agent {
     /// The online parameters after the last [`Agent::train`] (the initial ones before the first), flat in the order
     /// of the layout.
     pub fn weights(&self) -> &[f32] {
-        &self.acting[..self.network.layout().n_params()]
+        &self.acting.weights
     }
 
-    /// What actors act with: [`Agent::weights`], and with guided exploration the table of actions behind them, one entry
-    /// for each mentor transition: the action of its loss as of the last [`Agent::ingest`], or -1.
-    pub fn acting(&self) -> &[f32] {
+    /// What actors act with: [`Agent::weights`], and what guides their exploration. The known action of a mentor transition is
+    /// that of its loss as of the last [`Agent::ingest`].
+    pub fn acting(&self) -> &Acting {
         &self.acting
     }
 
-    /// Renews the guide's entry of mentor transition `j`.
-    fn renew_guide(&mut self, j: usize) {
+    /// Renews the known action of mentor transition `j`.
+    fn renew_known(&mut self, j: usize) {
         let Some(mentor) = &self.mentor else { return };
-        let n_params = self.network.layout().n_params();
-        if let Some(entry) = self.acting.get_mut(n_params + j) {
+        if let Some(entry) = self.acting.known.get_mut(j) {
             let term = mentor_term(&self.settings.rule, j, &mentor.annotations, &mentor.transitions, 0.0);
-            // Exact: there are at most 1024 actions.
-            *entry = term.map_or(UNKNOWN, |term| term.action as f32);
+            *entry = term.map_or(NONE, |term| term.action);
         }
     }
 

@@ -126,8 +126,8 @@ impl Agent {
         }
         self.replay.relink();
         self.network.load(&parts.online, &parts.target)?;
-        self.acting[..n_params].copy_from_slice(&parts.online);
-        (0..mentor_len).for_each(|j| self.renew_guide(j));
+        self.acting.weights.copy_from_slice(&parts.online);
+        (0..mentor_len).for_each(|j| self.renew_known(j));
         if let Some(shaping) = &mut self.shaping {
             shaping.store_all(&self.replay);
         }

@@ -22,7 +22,7 @@ impl Agent {
             finished();
         }
         if due > 0 {
-            let weights = &mut self.acting[..self.network.layout().n_params()];
+            let weights = &mut self.acting.weights;
             self.network.with_params(|online, _| weights.copy_from_slice(online))?;
             let grad_steps = self.counters.grad_steps;
             if !stats.loss_sum.is_finite() {

@@ -3,9 +3,7 @@
 use super::error::{CheckpointError, contents};
 use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
 use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND};
-use super::{
-    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, TARGET,
-};
+use super::{ACTORS, AGENT, ANNOTATIONS, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, TARGET};
 use super::{directory, file, tensors, ticks};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -25,8 +23,6 @@ pub struct Loaded {
     pub tick: u64,
     /// The agent.
     pub agent: Agent,
-    /// The parameters that actors act with next, where they are not the agent's.
-    pub behaviour: Option<Vec<f32>>,
     /// What each actor gave of itself.
     pub actors: Vec<Vec<u8>>,
     /// What the loop had to remember.
@@ -183,13 +179,10 @@ pub fn load(
         adam: tensors::decode_adam(layout, &optimizer).map_err(contents(&dir.join(OPTIMIZER)))?,
         annotations: annotations(dir, &manifest)?,
     };
-    let behaviour =
-        manifest.entry(BEHAVIOUR).map(|_| params(dir, &manifest, BEHAVIOUR, layout)).transpose()?;
     agent.restore(&parts).map_err(agent_fault)?;
     Ok(Loaded {
         tick: manifest.tick,
         agent,
-        behaviour,
         actors: frame(dir, &manifest, ACTORS, ACTORS_KIND)?,
         run: frame(dir, &manifest, RUN, RUN_KIND)?,
         pending: match manifest.entry(PENDING) {

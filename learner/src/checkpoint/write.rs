@@ -3,8 +3,7 @@
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, BEHAVIOUR, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN,
-    SCRATCH, TARGET,
+    ACTORS, AGENT, ANNOTATIONS, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SCRATCH, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use serde::Serialize;
@@ -47,8 +46,6 @@ pub struct Cut<'a> {
     pub tick: u64,
     /// The agent after it.
     pub agent: &'a Agent,
-    /// The parameters that actors will act with in the next tick, where they are not the agent's newest.
-    pub behaviour: Option<&'a [f32]>,
     /// What each actor gave of itself.
     pub actors: &'a [Vec<u8>],
     /// What the loop itself has to remember.
@@ -125,9 +122,6 @@ impl Frozen {
             .map_err(|e| agent_fault(e.into()))?;
         let adam = tensors::encode_adam(layout, agent.adam()).map_err(contents(Path::new(OPTIMIZER)))?;
         let mut new = vec![model?, target?, (OPTIMIZER.into(), adam)];
-        if let Some(behaviour) = cut.behaviour {
-            new.push(params(BEHAVIOUR, behaviour)?);
-        }
         let records_of = agent.annotation_records();
         let annotations =
             [bytemuck::cast_slice(&ANNOTATIONS_HEAD), bytemuck::cast_slice(&records_of)].concat();

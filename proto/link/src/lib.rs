@@ -14,6 +14,7 @@ pub mod logging;
 pub mod pulse;
 
 use std::time::Duration;
+use trestle_proto::acting::{Acting, ActingError};
 use trestle_proto::annotation::AnnotationError;
 use trestle_proto::batch::{Batch, BatchError};
 use trestle_proto::mentor::MentorTransitionsError;
@@ -21,7 +22,6 @@ use trestle_proto::observe::{Answers, ObserveAnswer, ObserveError, ObserveReques
 use trestle_proto::orders::{Orders, OrdersError};
 use trestle_proto::query::{QueryAnswer, QueryRequest};
 use trestle_proto::reply::Reply;
-use trestle_proto::weights::WeightsError;
 
 /// A message that could not be sent, received or believed.
 #[derive(Debug, thiserror::Error)]
@@ -74,9 +74,9 @@ pub enum LinkError {
     /// See [`OrdersError`].
     #[error(transparent)]
     Orders(#[from] OrdersError),
-    /// See [`WeightsError`].
+    /// See [`ActingError`].
     #[error(transparent)]
-    Weights(#[from] WeightsError),
+    Acting(#[from] ActingError),
     /// See [`ObserveError`].
     #[error(transparent)]
     Observe(#[from] ObserveError),
@@ -109,9 +109,9 @@ pub trait ActorLink {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// The newest orders, if others than those before come within `timeout`.
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
-    /// The newest published weights, checked, and their version; none if none of the learner's start `generation`, of
-    /// version `at_least` or later, have come yet.
-    fn weights(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError>;
+    /// What has been published last to act with, checked, and its version; none if nothing of the learner's start
+    /// `generation`, of version `at_least` or later, has come yet.
+    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.
@@ -133,8 +133,8 @@ pub trait LearnerLink {
     /// Waits until every actor, and the mentor-server if the run has one, has announced itself; in free mode for the
     /// mentor-server alone, for as long as it takes: actors may come at any time.
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
-    /// Publishes weights; the actors see the newest only.
-    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError>;
+    /// Publishes what actors are to act with; they see the newest only.
+    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError>;
     /// Gives orders to the actors, who see the newest only.
     fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError>;
     /// Whether a new mentor-server waits to be let in; never in lockstep.

@@ -7,6 +7,7 @@ use crate::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorL
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TRANSITIONS_BUFFER};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
@@ -14,9 +15,8 @@ use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{OK, QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::Reply;
-use trestle_proto::weights::WeightsHeader;
 
-type Weights = Arc<Mutex<Option<(WeightsHeader, Vec<f32>)>>>;
+type Published = Arc<Mutex<Option<(ActingHeader, Vec<u32>)>>>;
 
 /// The newest orders and how many there have been.
 #[derive(Default)]
@@ -39,9 +39,9 @@ enum Request {
 pub struct LocalActor {
     run: u64,
     sizes: Vec<u32>,
-    weights: Weights,
-    /// The weights received last.
-    copy: Vec<f32>,
+    published: Published,
+    /// What was received last.
+    copy: Acting,
     orders: Arc<Newest>,
     /// How many orders there had been when some were received last.
     received: u64,
@@ -56,7 +56,7 @@ pub struct LocalLearner {
     obs_dim: usize,
     n_actions: usize,
     mentor_len: usize,
-    weights: Weights,
+    published: Published,
     actors: usize,
     orders: Arc<Newest>,
     inbox: Receiver<ToLearner>,
@@ -72,7 +72,7 @@ pub struct LocalMentor {
 pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
     let actors = plan.config.run.actors as usize;
     let sizes: Vec<u32> = plan.sizes().into_iter().map(|n| n as u32).collect();
-    let weights = Weights::default();
+    let published = Published::default();
     let orders = Arc::<Newest>::default();
     let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
     let (to_mentor, requests) = sync_channel(1);
@@ -80,8 +80,8 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         .map(|_| LocalActor {
             run: plan.run,
             sizes: sizes.clone(),
-            weights: weights.clone(),
-            copy: Vec::new(),
+            published: published.clone(),
+            copy: Acting::zeros(plan.acting()),
             orders: orders.clone(),
             received: 0,
             learner: to_learner.clone(),
@@ -94,7 +94,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         obs_dim: plan.spec.obs_dim(),
         n_actions: plan.spec.n_actions(),
         mentor_len: plan.mentor_len(),
-        weights,
+        published,
         actors,
         orders,
         inbox,
@@ -117,12 +117,11 @@ fn waited<T>(result: Result<T, RecvTimeoutError>, what: &'static str) -> Result<
 }
 
 impl LocalActor {
-    /// Takes over the newest weights; returns their generation and version.
-    fn update_weights(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
-        let newest = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some((header, weights)) = newest.as_ref() else { return Ok(None) };
-        self.copy.resize(weights.len(), 0.0);
-        header.receive(self.run, &self.sizes, weights, &mut self.copy)?;
+    /// Takes over what was published last; returns its generation and version.
+    fn update(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
+        let newest = self.published.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some((header, payload)) = newest.as_ref() else { return Ok(None) };
+        header.receive(self.run, &self.sizes, payload, &mut self.copy)?;
         Ok(Some((header.generation, header.version)))
     }
 }
@@ -145,10 +144,10 @@ impl ActorLink for LocalActor {
         Ok(Some(orders))
     }
 
-    fn weights(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
-        let newest = self.update_weights()?;
+    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError> {
+        let newest = self.update()?;
         let newest = newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
-        Ok(newest.map(|(_, version)| (version, &*self.copy)))
+        Ok(newest.map(|(_, version)| (version, &self.copy)))
     }
 
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {
@@ -184,9 +183,11 @@ impl LearnerLink for LocalLearner {
         Ok(())
     }
 
-    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
-        let header = WeightsHeader::new(self.run, self.generation, version, &self.sizes, weights);
-        *self.weights.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, weights.to_vec()));
+    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
+        let header = ActingHeader::new(self.run, self.generation, version, &self.sizes, acting);
+        let mut payload = vec![0; acting.lengths().words()];
+        acting.write(&mut payload);
+        *self.published.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, payload));
         Ok(())
     }
 

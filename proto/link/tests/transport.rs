@@ -12,6 +12,7 @@ use trestle_link::iceoryx::{
 use trestle_link::local;
 use trestle_link::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorLink};
 use trestle_proto::NONE;
+use trestle_proto::acting::Acting;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Transition};
 use trestle_proto::config::{self, Config};
@@ -57,8 +58,8 @@ fn plan(run: u64) -> RunPlan {
     }
 }
 
-fn weights(version: u64) -> Vec<f32> {
-    (0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + version as f32 / 100.0).collect()
+fn acting(version: u64) -> Acting {
+    Acting::of_weights((0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + version as f32 / 100.0).collect())
 }
 
 /// An actor that answers orders with what tells it apart, until it is stopped: with a snapshot that is asked for, or else
@@ -77,11 +78,11 @@ fn act(mut link: impl ActorLink, index: u32) {
             link.send_reply(&Reply { header, payload: vec![index as u8; 70_000] }).unwrap();
             continue;
         }
-        assert!(link.weights(0, orders.weights_version + 1).unwrap().is_none());
-        assert!(link.weights(1, orders.weights_version).unwrap().is_none());
-        let (version, params) = link.weights(0, orders.weights_version).unwrap().unwrap();
-        assert_eq!((version, params), (orders.weights_version, &*weights(version)));
-        let first = params[0];
+        assert!(link.acting(0, orders.weights_version + 1).unwrap().is_none());
+        assert!(link.acting(1, orders.weights_version).unwrap().is_none());
+        let (version, newest) = link.acting(0, orders.weights_version).unwrap().unwrap();
+        assert_eq!((version, newest), (orders.weights_version, &acting(version)));
+        let first = newest.weights[0];
         batch.prepare(BatchHeader { run, round, actor: index, count: 4, obs_dim: 2, ..Default::default() });
         for i in 0..4 {
             let obs = [index as f32, round as f32];
@@ -152,7 +153,7 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     let mut orders = Orders { run: plan.run, ..Orders::default() };
     for round in 1..=200u64 {
         (orders.round, orders.weights_version) = (round, round - 1);
-        link.send_weights(round - 1, &weights(round - 1)).unwrap();
+        link.send_acting(round - 1, &acting(round - 1)).unwrap();
         orders.shares[..ACTORS as usize].fill(Share { granted: round, ..Share::default() });
         link.send_orders(&orders).unwrap();
         for _ in 0..ACTORS {
@@ -166,7 +167,7 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
         }
         for (actor, batch) in batches.iter().enumerate() {
             assert_eq!((batch.header.round, batch.header.actor, batch.len()), (round, actor as u32, 4));
-            assert_eq!(batch.transition(3).next_obs, [3.0, weights(round - 1)[0]]);
+            assert_eq!(batch.transition(3).next_obs, [3.0, acting(round - 1).weights[0]]);
         }
         let request = ObserveRequest {
             run: plan.run,

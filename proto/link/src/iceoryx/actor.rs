@@ -12,12 +12,12 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::AllocationStrategy;
 use std::time::{Duration, Instant};
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{HANDSHAKE, HELLO_INTERVAL};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Reply, ReplyHeader};
-use trestle_proto::weights::WeightsHeader;
 
 /// Room made in advance for a reply, bytes; a larger one makes the memory grow.
 const REPLY_BYTES: usize = 4096;
@@ -26,10 +26,10 @@ const REPLY_BYTES: usize = 4096;
 #[derive(Debug)]
 pub struct IceoryxActor {
     index: usize,
-    weights: Subscriber<Ipc, [f32], Wire<WeightsHeader>>,
+    weights: Subscriber<Ipc, [u32], Wire<ActingHeader>>,
     /// Generation and version of the newest weights received, and they themselves, kept because they may be acted with again.
     newest: Option<(u32, u64)>,
-    copy: Vec<f32>,
+    copy: Acting,
     orders: Subscriber<Ipc, Wire<Orders>, ()>,
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
     replies: Publisher<Ipc, [u8], Wire<ReplyHeader>>,
@@ -69,7 +69,7 @@ impl IceoryxActor {
                 .create()
                 .map_err(failed("creating the subscriber of weights"))?,
             newest: None,
-            copy: vec![0.0; services.sizes.weights],
+            copy: Acting::zeros(services.sizes.acting),
             orders: services
                 .orders
                 .subscriber_builder()
@@ -144,10 +144,10 @@ impl ActorLink for IceoryxActor {
         wake::wait(&self.listener, timeout, || self.try_orders())
     }
 
-    fn weights(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &[f32])>, LinkError> {
+    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError> {
         self.update_weights()?;
         let newest = self.newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
-        Ok(newest.map(|(_, version)| (version, &*self.copy)))
+        Ok(newest.map(|(_, version)| (version, &self.copy)))
     }
 
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError> {

@@ -12,6 +12,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use std::time::{Duration, Instant};
+use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
@@ -19,14 +20,13 @@ use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::{Reply, ReplyHeader};
-use trestle_proto::weights::WeightsHeader;
 
 /// The learner over shared memory.
 #[derive(Debug)]
 pub struct IceoryxLearner {
     transitions: Subscriber<Ipc, [u32], Wire<BatchHeader>>,
     replies: Subscriber<Ipc, [u8], Wire<ReplyHeader>>,
-    weights: Publisher<Ipc, [f32], Wire<WeightsHeader>>,
+    weights: Publisher<Ipc, [u32], Wire<ActingHeader>>,
     orders: Publisher<Ipc, Wire<Orders>, ()>,
     observe: Client<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
     query: query::Port,
@@ -46,7 +46,7 @@ impl IceoryxLearner {
         let weights = services
             .weights
             .publisher_builder()
-            .initial_max_slice_len(sizes.weights)
+            .initial_max_slice_len(sizes.acting.words())
             .max_loaned_samples(1)
             .create()
             .map_err(failed("creating the publisher of weights"))?;
@@ -296,15 +296,13 @@ impl LearnerLink for IceoryxLearner {
         wake::notify(&self.actors, wake::DATA)
     }
 
-    fn send_weights(&mut self, version: u64, weights: &[f32]) -> Result<(), LinkError> {
-        let mut sample = self
-            .weights
-            .loan_slice_uninit(weights.len())
-            .map_err(failed("loaning memory for weights"))?
-            .write_from_slice(weights);
+    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
+        let words = acting.lengths().words();
+        let mut sample = self.weights.loan_slice(words).map_err(failed("loaning memory for weights"))?;
+        acting.write(sample.payload_mut());
         let sizes = &self.services.sizes;
         sample.user_header_mut().0 =
-            WeightsHeader::new(self.services.run, self.generation, version, &sizes.network, weights);
+            ActingHeader::new(self.services.run, self.generation, version, &sizes.network, acting);
         let found = sample.send().map_err(failed("sending weights"))?;
         self.reached("a set of weights", found)
     }

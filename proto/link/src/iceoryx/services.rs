@@ -5,6 +5,7 @@ use super::{Domain, Ipc, Wire, failed, wake};
 use crate::LinkError;
 use iceoryx2::prelude::{EventId, Node};
 use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
+use trestle_proto::acting::{ActingHeader, Lengths};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, BatchHeader};
 use trestle_proto::config::Mode;
@@ -17,7 +18,6 @@ use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest};
 use trestle_proto::reply::ReplyHeader;
-use trestle_proto::weights::WeightsHeader;
 
 /// The mentor-server's number among the peers that say hello; the actors have those below.
 pub(super) const MENTOR_PEER: usize = MAX_ACTORS as usize;
@@ -40,8 +40,8 @@ pub struct Sizes {
     pub network: Vec<u32>,
     /// Words of a batch.
     pub batch_words: usize,
-    /// Parameters of the network, and the entries of the guide behind them.
-    pub weights: usize,
+    /// Entries of what actors act with.
+    pub acting: Lengths,
     /// Transitions of the demonstration; 0 without a mentor.
     pub mentor_len: usize,
     /// Batches of an actor that may be on their way.
@@ -54,14 +54,13 @@ impl Sizes {
     /// The sizes of `plan`'s messages.
     pub fn of(plan: &RunPlan) -> Self {
         let network = plan.sizes();
-        let weights = network.windows(2).map(|w| w[0] * w[1] + w[1]).sum::<usize>() + plan.guide_len();
         Self {
             actors: plan.config.run.actors as usize,
             obs_dim: plan.spec.obs_dim(),
             n_actions: plan.spec.n_actions(),
             network: network.into_iter().map(|n| n as u32).collect(),
             batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
-            weights,
+            acting: plan.acting(),
             mentor_len: plan.mentor_len(),
             window: plan.window() as usize,
             replaces: plan.config.run.mode == Mode::Free,
@@ -106,13 +105,13 @@ impl Sizes {
             0 => 0,
             _ => self.observe_request_words().max(self.observe_answer_words()).max(self.query_answer_words()),
         };
-        batches.max(16 * self.weights).max(16 * mentor) as u64
+        batches.max(16 * self.acting.words()).max(16 * mentor) as u64
     }
 
     /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
     pub fn shared_memory_bytes(&self) -> u64 {
         let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;
-        let weights = 4 * self.weights * 4;
+        let weights = 4 * self.acting.words() * 4;
         let mentor = if self.mentor_len == 0 {
             0
         } else {
@@ -124,7 +123,7 @@ impl Sizes {
 }
 
 pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], Wire<BatchHeader>>;
-pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [f32], Wire<WeightsHeader>>;
+pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [u32], Wire<ActingHeader>>;
 pub(super) type OrdersOf = publish_subscribe::PortFactory<Ipc, Wire<Orders>, ()>;
 pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], Wire<ReplyHeader>>;
 pub(super) type Observe =
@@ -234,8 +233,8 @@ impl Services {
         )?;
         let weights = finish!(
             node.service_builder(&name("weights")?)
-                .publish_subscribe::<[f32]>()
-                .user_header::<Wire<WeightsHeader>>()
+                .publish_subscribe::<[u32]>()
+                .user_header::<Wire<ActingHeader>>()
                 .max_publishers(1)
                 .max_subscribers(sizes.actors * 2)
                 .max_nodes(nodes)

@@ -1,0 +1,284 @@
+//! What actors act with: the Q-network's weights, and whatever guides their exploration. One value, which travels in one
+//! message, so that an actor never has parts of different moments.
+//!
+//! The payload of the message is, in 32-bit words: the weights, the table of known actions, and the parameters of the
+//! guiding policy. Parameters of a network are, layer by layer, the weights \[in\]\[out\] row-major and then the bias
+//! \[out\], all `f32`.
+
+use crate::limits::MAX_SIZES;
+use crate::message::Message;
+use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What actors act with.
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Acting {
+    /// Parameters of the Q-network.
+    pub weights: Vec<f32>,
+    /// For each mentor transition the action that is known for it, or [`crate::NONE`]; empty unless exploration is guided by
+    /// known actions.
+    pub known: Vec<u32>,
+    /// Parameters of the policy π of learned bridges; empty without them.
+    pub policy: Vec<f32>,
+}
+
+/// Entries of each part of an [`Acting`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lengths {
+    /// Parameters of the Q-network.
+    pub weights: usize,
+    /// Known actions.
+    pub known: usize,
+    /// Parameters of π.
+    pub policy: usize,
+}
+
+impl Lengths {
+    /// Words of the message.
+    pub fn words(&self) -> usize {
+        self.weights + self.known + self.policy
+    }
+}
+
+impl fmt::Display for Lengths {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { weights, known, policy } = self;
+        write!(f, "{weights} weights, {known} known actions and {policy} parameters of a guiding policy")
+    }
+}
+
+/// As derived, but for `clone_from`, which allocates nothing where the lengths are the same.
+impl Clone for Acting {
+    fn clone(&self) -> Self {
+        let Self { weights, known, policy } = self;
+        Self { weights: weights.clone(), known: known.clone(), policy: policy.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        self.weights.clone_from(&other.weights);
+        self.known.clone_from(&other.known);
+        self.policy.clone_from(&other.policy);
+    }
+}
+
+impl Acting {
+    /// All zero, with parts of these lengths.
+    pub fn zeros(lengths: Lengths) -> Self {
+        Self {
+            weights: vec![0.0; lengths.weights],
+            known: vec![0; lengths.known],
+            policy: vec![0.0; lengths.policy],
+        }
+    }
+
+    /// Weights alone.
+    pub fn of_weights(weights: Vec<f32>) -> Self {
+        Self { weights, ..Self::default() }
+    }
+
+    /// The length of each part.
+    pub fn lengths(&self) -> Lengths {
+        Lengths { weights: self.weights.len(), known: self.known.len(), policy: self.policy.len() }
+    }
+
+    /// Writes the message's payload into `out`, which has [`Lengths::words`] words.
+    ///
+    /// # Panics
+    /// If it has not.
+    pub fn write(&self, out: &mut [u32]) {
+        let (weights, rest) = out.split_at_mut(self.weights.len());
+        let (known, policy) = rest.split_at_mut(self.known.len());
+        weights.copy_from_slice(cast_slice(&self.weights));
+        known.copy_from_slice(&self.known);
+        policy.copy_from_slice(cast_slice(&self.policy));
+    }
+
+    /// Copies a payload of as many words as this has.
+    fn read(&mut self, payload: &[u32]) {
+        let (weights, rest) = payload.split_at(self.weights.len());
+        let (known, policy) = rest.split_at(self.known.len());
+        cast_slice_mut(&mut self.weights).copy_from_slice(weights);
+        self.known.copy_from_slice(known);
+        cast_slice_mut(&mut self.policy).copy_from_slice(policy);
+    }
+
+    /// CRC-32C of the payload's bytes.
+    fn checksum(&self) -> u32 {
+        let crc = crc32c::crc32c(cast_slice(&self.weights));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.known));
+        crc32c::crc32c_append(crc, cast_slice(&self.policy))
+    }
+}
+
+/// What is sent beside an [`Acting`].
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct ActingHeader {
+    /// Identity of the run.
+    pub run: u64,
+    /// The round after which these weights stood; 0 for the initial ones.
+    pub version: u64,
+    /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]).
+    pub generation: u32,
+    /// CRC-32C of the payload's bytes.
+    pub checksum: u32,
+    /// Entries of the table of known actions.
+    pub known: u32,
+    /// Parameters of the guiding policy.
+    pub policy: u32,
+    /// How many of `sizes` are used.
+    pub n_sizes: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Units of the Q-network's input, of each hidden layer and of its output.
+    pub sizes: [u32; MAX_SIZES],
+}
+
+impl Message for ActingHeader {
+    const TYPE_NAME: &'static str = "trestle.ActingHeader.v1";
+}
+
+/// A message that cannot be acted with.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ActingError {
+    /// Another run's.
+    #[error("weights are of run {found:016x}; this is run {expected:016x}")]
+    Run {
+        /// Their run.
+        found: u64,
+        /// This run.
+        expected: u64,
+    },
+    /// Another network's.
+    #[error("weights are of a network {found:?}; this run's is {expected:?}")]
+    Sizes {
+        /// Sizes in the header.
+        found: Vec<u32>,
+        /// Sizes of this run.
+        expected: Vec<u32>,
+    },
+    /// Parts of other lengths.
+    #[error(
+        "a message of {words} words has {known} known actions and {policy} parameters of a guiding policy; this run's have \
+         {expected}"
+    )]
+    Lengths {
+        /// Words of the payload.
+        words: usize,
+        /// Known actions by the header.
+        known: u32,
+        /// Parameters of the policy by the header.
+        policy: u32,
+        /// Lengths in this run.
+        expected: Lengths,
+    },
+    /// Torn or damaged.
+    #[error("weights version {version} have checksum {found:08x}; their header says {expected:08x}")]
+    Checksum {
+        /// Their version.
+        version: u64,
+        /// What was computed.
+        found: u32,
+        /// What was announced.
+        expected: u32,
+    },
+}
+
+impl ActingHeader {
+    /// The header of `acting`, whose network has `sizes` (at most [`MAX_SIZES`]).
+    pub fn new(run: u64, generation: u16, version: u64, sizes: &[u32], acting: &Acting) -> Self {
+        let Lengths { known, policy, .. } = acting.lengths();
+        let mut header = Self {
+            run,
+            version,
+            generation: generation.into(),
+            checksum: acting.checksum(),
+            known: known as u32,
+            policy: policy as u32,
+            n_sizes: sizes.len() as u32,
+            ..Self::default()
+        };
+        header.sizes[..sizes.len()].copy_from_slice(sizes);
+        header
+    }
+
+    /// Copies what a peer sent into `into`, which has this run's lengths, and checks the copy. A table of known actions is
+    /// taken as it is: who follows it checks each action.
+    ///
+    /// # Errors
+    /// A payload of another run or network, of other lengths, or a damaged one.
+    pub fn receive(
+        &self,
+        run: u64,
+        sizes: &[u32],
+        payload: &[u32],
+        into: &mut Acting,
+    ) -> Result<(), ActingError> {
+        if self.run != run {
+            return Err(ActingError::Run { found: self.run, expected: run });
+        }
+        let found = &self.sizes[..(self.n_sizes as usize).min(MAX_SIZES)];
+        if found != sizes {
+            return Err(ActingError::Sizes { found: found.to_vec(), expected: sizes.to_vec() });
+        }
+        let expected = into.lengths();
+        let own = (self.known as usize, self.policy as usize) == (expected.known, expected.policy);
+        if !own || payload.len() != expected.words() {
+            let (words, known, policy) = (payload.len(), self.known, self.policy);
+            return Err(ActingError::Lengths { words, known, policy, expected });
+        }
+        into.read(payload);
+        let computed = into.checksum();
+        if computed != self.checksum {
+            return Err(ActingError::Checksum {
+                version: self.version,
+                found: computed,
+                expected: self.checksum,
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NONE;
+
+    #[test]
+    fn a_message_is_taken_whole_or_not_at_all() {
+        let sizes = [1, 2];
+        let acting =
+            Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![7, NONE, 0], policy: vec![0.25, -8.0] };
+        let mut words = vec![0; acting.lengths().words()];
+        acting.write(&mut words);
+        let header = ActingHeader::new(9, 0, 4, &sizes, &acting);
+        let mut into = Acting::zeros(acting.lengths());
+        assert_eq!(header.receive(9, &sizes, &words, &mut into), Ok(()));
+        assert_eq!(into, acting);
+        let refused = |header: &ActingHeader, run, sizes: &[u32], words: &[u32]| {
+            header.receive(run, sizes, words, &mut Acting::zeros(acting.lengths())).err()
+        };
+        assert!(matches!(refused(&header, 8, &sizes, &words), Some(ActingError::Run { .. })));
+        assert!(matches!(refused(&header, 9, &[2, 1], &words), Some(ActingError::Sizes { .. })));
+        assert!(matches!(refused(&header, 9, &sizes, &words[1..]), Some(ActingError::Lengths { .. })));
+        // As long in all, but cut at another place.
+        let other = ActingHeader { known: 2, policy: 3, ..header };
+        assert!(matches!(refused(&other, 9, &sizes, &words), Some(ActingError::Lengths { .. })));
+        for at in 0..words.len() {
+            let mut words = words.clone();
+            words[at] ^= 1 << 20;
+            assert!(matches!(refused(&header, 9, &sizes, &words), Some(ActingError::Checksum { .. })));
+        }
+    }
+
+    #[test]
+    fn copying_over_keeps_the_memory() {
+        let acting = Acting { weights: vec![1.0; 3], known: vec![2; 2], policy: vec![3.0; 4] };
+        let mut copy = Acting::zeros(acting.lengths());
+        let before = copy.weights.as_ptr();
+        copy.clone_from(&acting);
+        assert_eq!((copy.weights.as_ptr(), &copy, &acting.clone()), (before, &acting, &acting));
+    }
+}
