@@ -103,10 +103,15 @@ pub(crate) struct Train {
 }
 
 impl Train {
-    /// Sets what the flags say.
+    /// What `--set` says, and `--algo` after it: an algorithm brings along defaults of its own.
+    pub(crate) fn sets(&self) -> Vec<String> {
+        let algo = self.algo.map(|algo| format!("run.algo={:?}", algo.name()));
+        self.source.sets.iter().cloned().chain(algo).collect()
+    }
+
+    /// Sets what the other flags say.
     pub(crate) fn apply(&self, config: &mut Settings) {
         let run = &mut config.run;
-        run.algo = self.algo.unwrap_or(run.algo);
         run.seed = self.seed.unwrap_or(run.seed);
         run.mode = self.mode.unwrap_or(run.mode);
         run.actors = self.actors.unwrap_or(run.actors);

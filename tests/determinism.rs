@@ -85,6 +85,17 @@ fn guided_exploration() {
 }
 
 #[test]
+fn learned_bridges() {
+    let trestle = ["--algo", "trestle", "--actors", "3", "--set", "run.rollout=7"];
+    let newest = agree(&trestle);
+    assert_eq!(newest.result.algo, "trestle");
+    let plain = [&["--algo", "dqn"], &trestle[2..]].concat();
+    assert_ne!(newest.weights_sha256, Place::new().train("dqn", &with(&plain)).weights_sha256);
+    let older = agree(&[&trestle[..], &["--set", "run.lag=1"]].concat());
+    assert_ne!(newest.weights_sha256, older.weights_sha256);
+}
+
+#[test]
 fn three_actors_with_lag() {
     agree(&["--actors", "3", "--set", "run.lag=1", "--set", "run.rollout=7"]);
 }
@@ -107,7 +118,7 @@ fn stopping_when_solved() {
 #[test]
 fn plain_learning_the_paper_variants_and_ours() {
     let place = Place::new();
-    let variants: [&[&str]; 9] = [
+    let variants: [&[&str]; 11] = [
         &["--algo", "dqn"],
         &["--algo", "diiqn", "--actors", "2"],
         &["--set", "mentor.selection=confidence", "--set", "learner.target=hard"],
@@ -133,6 +144,19 @@ fn plain_learning_the_paper_variants_and_ours() {
             "learner.replay=1000",
         ],
         &["--algo", "dqn", "--set", "learner.n_step=3", "--set", "shaping.potential=2"],
+        &[
+            "--algo",
+            "dqn",
+            "--set",
+            "exploration.guide=learned",
+            "--set",
+            "exploration.guide_end=0.5",
+            "--set",
+            "mentor.learned.frontier=skip",
+            "--set",
+            "mentor.learned.patience=1",
+        ],
+        &["--algo", "trestle", "--set", "env.encoding=one-hot", "--set", "learner.n_step=5"],
     ];
     for (i, variant) in variants.iter().enumerate() {
         let args = [&["maze-small", "--env-steps", "4000", "--seed", "2"], *variant].concat();

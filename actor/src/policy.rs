@@ -52,12 +52,12 @@ impl Policy {
     /// # Panics
     /// As [`Policy::greedy`].
     pub fn act(&mut self, params: &[f32], obs: &[f32], epsilon: f64, rng: &mut Stream) -> u32 {
-        self.act_guided(params, obs, epsilon, 0.0, rng, || None)
+        self.act_guided(params, obs, epsilon, 0.0, rng, |_| None)
     }
 
     /// As [`Policy::act`], where an exploring step takes `guided`'s action with probability `guide` (0 to 1), if there
-    /// is one. Between u and w it draws, where `guide` is above 0, a further word, a uniform number as u is; w is not
-    /// drawn where the guide was followed.
+    /// is one. Between u and w it draws, where `guide` is above 0, a further word, a uniform number as u is, and
+    /// then what `guided` itself draws; w is not drawn where the guide was followed.
     ///
     /// # Panics
     /// As [`Policy::greedy`].
@@ -68,14 +68,14 @@ impl Policy {
         epsilon: f64,
         guide: f64,
         rng: &mut Stream,
-        guided: impl FnOnce() -> Option<u32>,
+        guided: impl FnOnce(&mut Stream) -> Option<u32>,
     ) -> u32 {
         if unit(rng) >= epsilon {
             return self.greedy(params, obs);
         }
         if guide > 0.0
             && unit(rng) < guide
-            && let Some(action) = guided()
+            && let Some(action) = guided(rng)
         {
             return action;
         }
@@ -84,7 +84,7 @@ impl Policy {
 }
 
 /// Uniform in [0, 1): the upper 53 bits of a word.
-fn unit(rng: &mut Stream) -> f64 {
+pub(crate) fn unit(rng: &mut Stream) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 

@@ -2,7 +2,7 @@
 
 use crate::env::hazard::Hazards;
 use crate::env::{EnvError, Environment, registry};
-use crate::guide::Guide;
+use crate::guide::{Guide, Progress};
 use crate::policy::Policy;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -23,7 +23,7 @@ use trestle_proto::space::{Success, reported};
 use trestle_qnet::{PlanError, kernels_of, network_of};
 
 /// What the frame of an actor's state says that it is.
-pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 1 };
+pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 2 };
 
 /// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
 /// [`MAX_REPLY_BYTES`].
@@ -100,6 +100,12 @@ pub enum ActorError {
         /// Features of an observation here.
         expected: usize,
     },
+    /// A snapshot that is sound, but of another guide.
+    #[error("snapshot of actor {index}: its place on the mentor's path is none of this run's")]
+    Guide {
+        /// The actor.
+        index: u32,
+    },
 }
 
 /// A number that an environment gives.
@@ -149,6 +155,8 @@ pub struct Worker {
     exploration: config::Exploration,
     policy: Policy,
     guide: Option<Guide>,
+    /// Whether a step may still be guided, by the last orders; the guide has nothing to do otherwise.
+    guides: bool,
     /// Lengths of what it acts with.
     lengths: Lengths,
     env: Box<dyn Environment>,
@@ -180,6 +188,7 @@ struct State {
     env: Vec<u8>,
     explore: Stream,
     environment: Stream,
+    guide: Option<Progress>,
 }
 
 impl Worker {
@@ -224,6 +233,11 @@ impl Worker {
         let mut obs = vec![0.0; obs_dim];
         env.reset(&mut environment, &mut obs);
         check_finite(index, Moment::Steps(0), &obs, 0.0)?;
+        let mut explore = stream(run.seed, Purpose::Explore, who);
+        let mut guide = Guide::new(plan)?;
+        if let Some(guide) = &mut guide {
+            guide.begin(&obs, &mut explore);
+        }
         Ok(Self {
             index,
             actors: run.actors,
@@ -231,12 +245,13 @@ impl Worker {
             seed: run.seed,
             exploration: plan.config.exploration.clone(),
             policy: Policy::new(layout, encoding, kernels_of(plan)?),
-            guide: Guide::new(plan)?,
+            guide,
+            guides: true,
             lengths: plan.acting(),
             env,
             evaluation_env: hazards.around(registry().build(&plan.config.env)?, HazardScope::Evaluation),
             success: plan.success(),
-            explore: stream(run.seed, Purpose::Explore, who),
+            explore,
             environment,
             obs,
             next_obs: vec![0.0; obs_dim],
@@ -269,7 +284,11 @@ impl Worker {
     /// Begins an episode.
     fn reset(&mut self) -> Result<(), ActorError> {
         self.env.reset(&mut self.environment, &mut self.obs);
-        check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)
+        check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)?;
+        if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
+            guide.begin(&self.obs, &mut self.explore);
+        }
+        Ok(())
     }
 
     /// Features of an observation.
@@ -309,16 +328,17 @@ impl Worker {
             obs_dim: self.obs.len() as u32,
         });
         let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
+        self.guides = schedule::guides(&self.exploration, before);
         for s in 0..order.steps {
             let at = before.saturating_add(u64::from(s));
             let epsilon = schedule::actor_epsilon(&self.exploration, at, self.index, self.actors);
             let (obs, rng) = (&self.obs, &mut self.explore);
-            let action = match &mut self.guide {
+            let action = match self.guide.as_mut().filter(|_| self.guides) {
                 None => self.policy.act(weights, obs, epsilon, rng),
                 Some(guide) => {
                     let share = schedule::guide(&self.exploration, at);
-                    let known = &acting.known;
-                    self.policy.act_guided(weights, obs, epsilon, share, rng, || guide.action(obs, known))
+                    self.policy
+                        .act_guided(weights, obs, epsilon, share, rng, |rng| guide.action(obs, acting, rng))
                 }
             };
             let step = self.env.step(action, &mut self.next_obs)?;
@@ -333,6 +353,12 @@ impl Worker {
             batch.set(s as usize, &Transition { obs, next_obs, action, reward: step.reward, flags });
             self.seq += 1;
             self.first = step.terminated || step.truncated;
+            if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
+                guide.follow(&self.next_obs, reported(step.reward, step.success, self.env.spec().goal_bonus));
+                if self.first {
+                    guide.finish(step.success);
+                }
+            }
             if self.first {
                 self.reset()?;
             } else {
@@ -429,6 +455,7 @@ impl Worker {
             env: self.env.snapshot()?,
             explore: self.explore.clone(),
             environment: self.environment.clone(),
+            guide: self.guide.as_ref().and_then(Guide::progress).cloned(),
         };
         Ok(codec::encode(STATE_KIND, &state)?)
     }
@@ -449,7 +476,13 @@ impl Worker {
                 expected,
             });
         }
+        if !Guide::fits(self.guide.as_ref(), state.guide.as_ref()) {
+            return Err(ActorError::Guide { index });
+        }
         self.env.restore(&state.env)?;
+        if let (Some(guide), Some(progress)) = (&mut self.guide, state.guide) {
+            guide.restore(progress);
+        }
         self.obs = state.obs;
         self.seq = state.seq;
         self.first = state.first;

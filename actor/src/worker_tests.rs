@@ -199,10 +199,10 @@ fn exploration_follows_the_schedule_over_all_actors() {
                 "exploration.epsilon_decay_steps=64",
             ],
         );
-        let params = always(&plan, 1);
+        let acting = Acting::of_weights(always(&plan, 1));
         let mut batch = Batch::default();
         let order = Collect { env_steps, ..order(1, 64) };
-        Worker::new(&plan, index).unwrap().collect(&params, &order, &mut batch).unwrap();
+        Worker::new(&plan, index).unwrap().collect(&acting, &order, &mut batch).unwrap();
         batch.actions().contains(&0)
     };
     assert!(explores(0, 0));
@@ -289,16 +289,20 @@ fn what_cannot_be_done_is_refused() {
     let mut worker = Worker::new(&plan, 0).unwrap();
     let before = worker.snapshot().unwrap();
     let mut batch = Batch::default();
-    let message = worker.collect(&params[1..], &order(1, 8), &mut batch).unwrap_err().to_string();
+    let acting = Acting::of_weights(params);
+    let others = Acting { policy: vec![0.0], ..Acting::of_weights(acting.weights[1..].to_vec()) };
+    let message = worker.collect(&others, &order(1, 8), &mut batch).unwrap_err().to_string();
+    let rest = "known actions and";
     let expected = format!(
-        "weights of {} parameters and guiding actions; this run's network and mentor have {}",
-        params.len() - 1,
-        params.len()
+        "there are {} weights, 0 {rest} 1 parameters of a guiding policy to act with; this run has {} weights, 0 {rest} 0 \
+         parameters of a guiding policy",
+        others.weights.len(),
+        acting.weights.len()
     );
     assert_eq!(message, expected);
     for amount in [0, MAX_ROLLOUT + 1] {
         assert!(matches!(
-            worker.collect(&params, &Collect { steps: amount, ..order(1, 8) }, &mut batch),
+            worker.collect(&acting, &Collect { steps: amount, ..order(1, 8) }, &mut batch),
             Err(ActorError::Amount { what: "steps", .. })
         ));
     }
@@ -317,11 +321,11 @@ enum Doing {
 
 /// What `worker` refuses as it collects batches of 8 steps, or plays evaluations, and how many it got through before.
 fn refusal(mut worker: Worker, params: &[f32], doing: Doing) -> (u64, String) {
-    let mut batch = Batch::default();
+    let (acting, mut batch) = (Acting::of_weights(params.to_vec()), Batch::default());
     for t in 1..100 {
         let outcome = match doing {
-            Doing::Collecting => worker.collect(params, &order(t, 8), &mut batch),
-            Doing::Evaluating => worker.evaluate(params, t, 1).map(|_| ()),
+            Doing::Collecting => worker.collect(&acting, &order(t, 8), &mut batch),
+            Doing::Evaluating => worker.evaluate(&acting.weights, t, 1).map(|_| ()),
         };
         if let Err(error) = outcome {
             return (t - 1, error.to_string());

@@ -24,7 +24,7 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         _ => Existing::Keep,
     };
     let (source, of) = named(&args.source.config, existing)?;
-    let config = config::load_with(registry(), &source, &args.source.sets, |config| args.apply(config))?;
+    let config = config::load_with(registry(), &source, &args.sets(), |config| args.apply(config))?;
     let root = match (&args.out, of) {
         (Some(out), _) => out.clone(),
         (None, Some(run)) if existing == Existing::Resume => run,

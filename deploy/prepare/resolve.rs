@@ -7,11 +7,12 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use trestle_actor::env::{Environment, registry};
 use trestle_algorithm::demonstration::Demonstration;
+use trestle_algorithm::learned_bridges;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise, unreachable};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Config, Demos, MetricKind, PLAN, Threshold};
+use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, PLAN, Threshold};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::regular_file;
@@ -42,8 +43,12 @@ pub(crate) struct Mentors {
 }
 
 impl Mentors {
-    /// Puts numbers in the place of thresholds that are `auto`.
-    fn resolve_thresholds(&self, mentor: &mut config::Mentor) -> Result<()> {
+    /// Puts numbers in the place of thresholds that are `auto`, and of lengths of learned bridges that are automatic.
+    fn resolve(&self, config: &mut Config, spec: &EnvSpec) -> Result<()> {
+        if config.guide() == Some(GuideKind::Learned) {
+            learned_bridges::resolve(&mut config.mentor.learned, spec, &self.all)?;
+        }
+        let mentor = &mut config.mentor;
         if mentor.e_th != Threshold::Auto && mentor.e_infeas != Threshold::Auto {
             return Ok(());
         }
@@ -99,7 +104,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     typed.mentor.metric = typed.mentor.metric.of(&resolved.spec);
     let own = &resolved.config;
     if let Some(mentors) = &resolved.mentors {
-        mentors.resolve_thresholds(&mut typed.mentor)?;
+        mentors.resolve(&mut typed, &resolved.spec)?;
     }
     if *own != typed {
         let (old, new) = (config::to_toml(own), config::to_toml(&typed));
@@ -146,7 +151,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
     config.mentor.metric = config.mentor.metric.of(&spec);
     let mentors = if config.needs_demonstration() {
         let mentors = mentors(&config, env.as_ref())?;
-        mentors.resolve_thresholds(&mut config.mentor)?;
+        mentors.resolve(&mut config, &spec)?;
         Some(mentors)
     } else {
         None
@@ -233,7 +238,7 @@ impl Resolved {
             name: name.clone(),
             transitions: demonstration.n_transitions(),
         };
-        // Shaping needs a demonstration, but no mentor-server.
+        // Shaping and learned bridges need a demonstration, but no mentor-server.
         let mentors = self.mentors.as_ref().filter(|_| self.config.run.algo.has_mentor());
         let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
         RunPlan {

@@ -18,6 +18,8 @@ pub const MAX_WIDTH: usize = 4096;
 pub const MAX_REPLAY: usize = 100_000_000;
 /// Most steps that a target looks ahead (`learner.n_step`).
 pub const MAX_N_STEP: usize = 64;
+/// Most steps between a state and the later one that a learned bridge takes for its goal (`mentor.learned.horizon`).
+pub const MAX_HORIZON: usize = 64;
 /// Most transitions in a demonstration.
 pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
 /// Most demonstrations that a run learns from.

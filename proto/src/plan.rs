@@ -3,14 +3,14 @@
 
 use crate::acting::Lengths;
 use crate::codec::{self, CodecError, Kind};
-use crate::config::{Config, EncodingKind, Mode};
+use crate::config::{Config, EncodingKind, GuideKind, Mode};
 use crate::limits::TRANSITIONS_BUFFER;
 use crate::space::{EnvSpec, Success, least};
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
-pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 7 };
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 8 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,8 +56,8 @@ impl RunPlan {
     pub fn acting(&self) -> Lengths {
         Lengths {
             weights: parameters(&self.sizes()),
-            known: if self.config.guided() { self.mentor_len() } else { 0 },
-            policy: 0,
+            known: if self.config.guide() == Some(GuideKind::Known) { self.mentor_len() } else { 0 },
+            policy: self.policy_sizes().map_or(0, |sizes| parameters(&sizes)),
         }
     }
 
@@ -79,6 +79,18 @@ impl RunPlan {
         };
         let hidden = self.config.learner.hidden.iter().copied();
         std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect()
+    }
+
+    /// Units of the input, the hidden layers and the output of the policy π of learned bridges: it sees a state as the
+    /// Q-network does, and the way to a goal. None without learned bridges.
+    pub fn policy_sizes(&self) -> Option<Vec<usize>> {
+        if self.config.guide() != Some(GuideKind::Learned) {
+            return None;
+        }
+        let (network, learned) = (self.sizes(), &self.config.mentor.learned);
+        let input = network[0] + learned.features.len();
+        let hidden = learned.hidden.iter().copied();
+        Some(std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect())
     }
 
     /// Number of values of each feature, for the one-hot encoding of whole-numbered features.

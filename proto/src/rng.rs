@@ -26,6 +26,10 @@ pub enum Purpose {
     Map = 7,
     /// Resamples of the intervals of a report; no run draws from it.
     Bootstrap = 8,
+    /// Initial weights of the policy of learned bridges.
+    PolicyWeights = 9,
+    /// Draws from the replay for that policy.
+    PolicyReplay = 10,
 }
 
 /// The stream of `purpose` and `index` in the run with `seed`, at its beginning.

@@ -19,9 +19,18 @@ pub fn actor_epsilon(exploration: &Exploration, env_steps: u64, actor: u32, acto
 }
 
 /// The share of exploring steps that are guided after `env_steps` environment steps of all actors: from `guide_start`
-/// to `guide_end`, linearly over `guide_decay_steps`, constant from then on.
+/// to `guide_end`, linearly over `guide_decay_steps`, or over ε's steps where these are 0, constant from then on.
 pub fn guide(exploration: &Exploration, env_steps: u64) -> f64 {
-    linear(exploration.guide_start, exploration.guide_end, exploration.guide_decay_steps, env_steps)
+    let decay_steps = match exploration.guide_decay_steps {
+        0 => exploration.epsilon_decay_steps,
+        steps => steps,
+    };
+    linear(exploration.guide_start, exploration.guide_end, decay_steps, env_steps)
+}
+
+/// Whether a step may still be guided after `env_steps` environment steps of all actors.
+pub fn guides(exploration: &Exploration, env_steps: u64) -> bool {
+    exploration.guide_end > 0.0 || guide(exploration, env_steps) > 0.0
 }
 
 fn linear(start: f64, end: f64, decay_steps: u64, env_steps: u64) -> f64 {
@@ -41,6 +50,7 @@ pub fn gradient_steps_due(before: u64, after: u64, warmup: u64, train_every: u64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::GuideKind;
     use proptest::prelude::*;
 
     #[test]
@@ -50,11 +60,17 @@ mod tests {
             epsilon_end: 0.1,
             epsilon_decay_steps: 90,
             epsilon_spread: 7.0,
+            guide: GuideKind::Known,
             guide_start: 0.5,
             guide_end: 0.0,
             guide_decay_steps: 10,
         };
         assert_eq!([0, 5, 10].map(|steps| guide(&exploration, steps)), [0.5, 0.25, 0.0]);
+        assert_eq!([0, 9, 10].map(|steps| guides(&exploration, steps)), [true, true, false]);
+        let tied = Exploration { guide_decay_steps: 0, ..exploration.clone() };
+        assert_eq!([0, 45, 90].map(|steps| guide(&tied, steps)), [0.5, 0.25, 0.0]);
+        let rising = Exploration { guide_start: 0.0, guide_end: 0.5, ..exploration.clone() };
+        assert!(guides(&rising, 0) && guides(&rising, 1000));
         assert_eq!(epsilon(&exploration, 0), 1.0);
         assert!((epsilon(&exploration, 45) - 0.55).abs() < 1e-12);
         assert_eq!(epsilon(&exploration, 90), 0.1);

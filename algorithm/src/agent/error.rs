@@ -77,4 +77,13 @@ pub enum AgentError {
         /// Gradient steps taken.
         grad_steps: u64,
     },
+    /// Training of the guiding policy has diverged.
+    #[error(
+        "the loss of learned bridges is no longer finite after {grad_steps} gradient steps: a smaller mentor.learned.lr may \
+         help"
+    )]
+    PolicyDiverged {
+        /// Gradient steps taken.
+        grad_steps: u64,
+    },
 }

@@ -28,6 +28,7 @@ pub use ingest::{FinishedEpisode, Ingested};
 pub use state::{AgentState, Parts};
 pub use stats::{MentorSummary, TrainStats};
 
+use crate::learned_bridges::{Hindsight, hindsight_of};
 use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
 use crate::replay::Replay;
 use crate::shaping::Shaping;
@@ -38,7 +39,7 @@ use trestle_proto::NONE;
 use trestle_proto::acting::Acting;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::Batch;
-use trestle_proto::config::{CombineKind, DrawKind, Learner, LossKind, SelectionKind};
+use trestle_proto::config::{CombineKind, DrawKind, Exploration, Learner, LossKind, SelectionKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
@@ -57,6 +58,8 @@ pub struct Agent {
     mentor: Option<MentorSide>,
     /// What is added to the rewards, if anything is.
     shaping: Option<Shaping>,
+    /// What learns the policy that guides, with learned bridges.
+    hindsight: Option<Hindsight>,
     /// Draws from the replay.
     rng: Stream,
     counters: Counters,
@@ -73,6 +76,7 @@ pub struct Agent {
 #[derive(Clone, Debug)]
 struct Settings {
     learner: Learner,
+    exploration: Exploration,
     adam: AdamConfig,
     loss: Loss,
     gamma: f32,
@@ -161,6 +165,10 @@ impl Agent {
         let mut acting = Acting::zeros(plan.acting());
         acting.weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
         acting.known.fill(NONE);
+        let hindsight = hindsight_of(plan)?;
+        if let Some(hindsight) = &hindsight {
+            acting.policy.copy_from_slice(hindsight.params());
+        }
         let network = QNetwork::new(layout.clone(), &acting.weights)?.with_kernels(kernels);
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch, kernels),
@@ -168,6 +176,7 @@ impl Agent {
             replay: Replay::new(settings.learner.replay, obs_dim)?,
             network,
             shaping: Shaping::new(plan)?,
+            hindsight,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
@@ -285,6 +294,7 @@ impl Settings {
         loss.validate()?;
         Ok(Self {
             learner: learner.clone(),
+            exploration: plan.config.exploration.clone(),
             adam,
             loss,
             gamma: learner.gamma as f32,

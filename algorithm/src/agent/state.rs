@@ -2,6 +2,7 @@
 
 use super::Counters;
 use super::{Agent, AgentError, MentorSide, Running};
+use crate::learned_bridges::{Hindsight, HindsightState};
 use serde::{Deserialize, Serialize};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rng::Stream;
@@ -25,6 +26,8 @@ pub struct AgentState {
     used: Vec<u64>,
     /// Searches for bridges that met their limit.
     searches_cut_short: u64,
+    /// What learns the policy of learned bridges.
+    hindsight: Option<HindsightState>,
     /// CRC-32C of the demonstration, so that an agent never goes on with another one.
     demonstration: u32,
 }
@@ -73,6 +76,7 @@ impl Agent {
             visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
             used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
             searches_cut_short: self.searches_cut_short().unwrap_or(0),
+            hindsight: self.hindsight.as_ref().map(|hindsight| hindsight.state().clone()),
             demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
         }
     }
@@ -117,6 +121,18 @@ impl Agent {
             let (found, accepted) = (state.trained_to, state.counters.env_steps);
             return Err(AgentError::Restore { what: "the step trained up to", found, accepted });
         }
+        let hindsight = match (&mut self.hindsight, &state.hindsight) {
+            (Some(own), Some(saved)) => own.restore(saved),
+            (own, saved) => own.is_none() && saved.is_none(),
+        };
+        if !hindsight {
+            let params = |state: Option<&HindsightState>| state.map_or(0, |state| state.params.len() as u64);
+            return Err(AgentError::Restore {
+                what: "the number of parameters of learned bridges",
+                found: params(state.hindsight.as_ref()),
+                accepted: params(self.hindsight.as_ref().map(Hindsight::state)),
+            });
+        }
         if let Some(mentor) = &mut self.mentor {
             mentor.annotations.apply(&parts.annotations)?;
             mentor.trained.copy_from_slice(&state.trained);
@@ -127,6 +143,9 @@ impl Agent {
         self.replay.relink();
         self.network.load(&parts.online, &parts.target)?;
         self.acting.weights.copy_from_slice(&parts.online);
+        if let Some(hindsight) = &self.hindsight {
+            self.acting.policy.copy_from_slice(hindsight.params());
+        }
         (0..mentor_len).for_each(|j| self.renew_known(j));
         if let Some(shaping) = &mut self.shaping {
             shaping.store_all(&self.replay);

@@ -25,6 +25,10 @@ pub struct TrainStats {
     pub bridged: u64,
     /// Sum over the steps of the gradient's norm before clipping; 0 without clipping, where it is not computed.
     pub grad_norm_sum: f64,
+    /// Updates of the policy of learned bridges.
+    pub policy_steps: u64,
+    /// Sum over these updates of the mean loss of their samples, nats.
+    pub policy_loss_sum: f64,
 }
 
 impl TrainStats {
@@ -39,6 +43,8 @@ impl TrainStats {
         self.feasible += other.feasible;
         self.bridged += other.bridged;
         self.grad_norm_sum += other.grad_norm_sum;
+        self.policy_steps += other.policy_steps;
+        self.policy_loss_sum += other.policy_loss_sum;
     }
 
     /// Mean loss of a sample; NaN without any.
@@ -54,6 +60,11 @@ impl TrainStats {
     /// Share of the samples that were trained with the mentor's loss; NaN without any.
     pub fn mentor_frac(&self) -> f64 {
         self.mentor_weight_sum / self.samples as f64
+    }
+
+    /// Mean loss of a sample of learned bridges, nats; NaN without any.
+    pub fn policy_loss_mean(&self) -> f64 {
+        self.policy_loss_sum / self.policy_steps as f64
     }
 
     /// Mean norm of the gradient before clipping; NaN without any.

@@ -2,11 +2,11 @@
 
 use super::{Agent, AgentError, Selection, TrainStats};
 use trestle_proto::config::TargetKind;
-use trestle_proto::schedule::gradient_steps_due;
+use trestle_proto::schedule::{gradient_steps_due, guides};
 use trestle_qnet::clip_grad_norm;
 
 impl Agent {
-    /// Takes all gradient steps that are due since the last call, and renews [`Agent::weights`]. Calls `finished` after
+    /// Takes all gradient steps that are due since the last call, and renews [`Agent::acting`]. Calls `finished` after
     /// each of them: many may be due at once, and a supervisor wants signs of life meanwhile.
     ///
     /// # Errors
@@ -17,16 +17,29 @@ impl Agent {
         let due = gradient_steps_due(from, to, learner.warmup, learner.train_every);
         self.trained_to = to;
         let mut stats = TrainStats::default();
+        let guides = guides(&self.settings.exploration, to);
         for _ in 0..due {
             self.gradient_step(&mut stats)?;
+            if let Some(hindsight) = self.hindsight.as_mut().filter(|_| guides)
+                && let Some(loss) = hindsight.update(&self.replay)
+            {
+                stats.policy_steps += 1;
+                stats.policy_loss_sum += loss;
+            }
             finished();
         }
         if due > 0 {
             let weights = &mut self.acting.weights;
             self.network.with_params(|online, _| weights.copy_from_slice(online))?;
+            if let Some(hindsight) = &self.hindsight {
+                self.acting.policy.copy_from_slice(hindsight.params());
+            }
             let grad_steps = self.counters.grad_steps;
             if !stats.loss_sum.is_finite() {
                 return Err(AgentError::Diverged { what: "the loss", grad_steps });
+            }
+            if !stats.policy_loss_sum.is_finite() {
+                return Err(AgentError::PolicyDiverged { grad_steps });
             }
             // Without a way out of the loop, so that it runs through whole registers.
             if !self.weights().iter().fold(true, |finite, w| finite & w.is_finite()) {

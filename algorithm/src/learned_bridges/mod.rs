@@ -8,7 +8,8 @@
 //! 2. [`hindsight`]: how it is learnt, as in goal-conditioned supervised learning (Ghosh et al. 2021): the action a_t that
 //!    was taken in s_t is a good one for reaching s_(t+h), whatever was wanted at the time;
 //! 3. [`path`]: the mentor's path as points and lengths, and the state to aim at;
-//! 4. [`tracker`]: how far along the path an episode is, and in which episodes the guide is used.
+//! 4. [`tracker`]: how far along the path an episode is, in which episodes the guide is used, and where it lets go;
+//! 5. [`setup`]: all of these for a run.
 //!
 //! Q-learning knows nothing of this: it trains on the real rewards of what was done. π draws an exploring step's action,
 //! with a probability that falls with ε; drawing rather than taking the likeliest keeps it from repeating a mistake for
@@ -17,6 +18,7 @@
 pub mod goal;
 pub mod hindsight;
 pub mod path;
+pub mod setup;
 pub mod tracker;
 
 #[cfg(test)]
@@ -25,4 +27,5 @@ mod tests;
 pub use goal::{Goal, draw, softmax};
 pub use hindsight::{Hindsight, HindsightConfig, HindsightState};
 pub use path::MentorPath;
-pub use tracker::{Reach, Tracker};
+pub use setup::{LearnedError, hindsight_of, path_of, policy_of, resolve};
+pub use tracker::{Pace, Tracker};

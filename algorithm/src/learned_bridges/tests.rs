@@ -5,15 +5,19 @@
 use super::goal::{Goal, draw, softmax};
 use super::hindsight::{Hindsight, HindsightConfig};
 use super::path::{MentorPath, distance};
-use super::tracker::{Reach, Tracker};
+use super::tracker::{Pace, Tracker};
 use crate::replay::Replay;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use trestle_proto::NONE;
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::config::FrontierKind;
 use trestle_proto::rng::Stream;
 use trestle_proto::waypoints::Waypoints;
 use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, forward, init};
+
+const PACE: Pace =
+    Pace { window: 10.0, lookahead: 1.0, gate: true, frontier: FrontierKind::Pinned, patience: 2 };
 
 /// States of a position and a velocity, each from -8 to 8; goals are positions, in units of 2.
 fn goal() -> Goal {
@@ -136,9 +140,9 @@ proptest! {
     ) {
         let waypoints = waypoints(&lengths, &places);
         let path = MentorPath::new(&waypoints, 2, &goal(), radius);
-        let reach = Reach { window, ahead };
-        let mut tracker = Tracker::default();
-        tracker.begin(0.0);
+        let pace = Pace { window, lookahead: ahead, ..PACE };
+        let mut tracker = Tracker::new(&path, &pace);
+        tracker.begin(&pace, 0.0);
         let mut naive: Option<usize> = None;
         let trajectory_of: Vec<usize> =
             lengths.iter().enumerate().flat_map(|(i, &n)| std::iter::repeat_n(i, n)).collect();
@@ -150,7 +154,7 @@ proptest! {
         for &x in &walk {
             let place = f32::from(x) / 2.0;
             tracker.step();
-            tracker.observe(&path, &reach, &[place], &mut Vec::new(), &mut Vec::new());
+            tracker.observe(&path, &pace, &[place], &mut Vec::new(), &mut Vec::new());
             let near: Vec<usize> = (0..trajectory_of.len())
                 .filter(|&m| (place_of(m) - place) * (place_of(m) - place) <= radius * radius)
                 .collect();
@@ -169,7 +173,7 @@ proptest! {
                 let last = same.clone().next_back().unwrap();
                 same.clone().find(|&m| length(m) >= length(at) + ahead).unwrap_or(last)
             });
-            prop_assert_eq!(tracker.goal(&path, &reach), aim);
+            prop_assert_eq!(tracker.goal(&path, &pace), aim);
         }
     }
 
@@ -206,18 +210,18 @@ fn waypoints(lengths: &[usize], places: &[i8]) -> Waypoints {
 #[test]
 fn a_guide_that_gets_stuck_is_used_less() {
     let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.5);
-    let reach = Reach { window: 10.0, ahead: 1.0 };
-    let mut tracker = Tracker::default();
+    let pace = PACE;
+    let mut tracker = Tracker::new(&path, &pace);
     let mut episode = |places: &[f32], success: bool, u: f64| {
-        tracker.begin(u);
+        tracker.begin(&pace, u);
         for (at, place) in places.iter().enumerate() {
             if at > 0 {
                 tracker.step();
             }
-            tracker.observe(&path, &reach, &[*place], &mut Vec::new(), &mut Vec::new());
+            tracker.observe(&path, &pace, &[*place], &mut Vec::new(), &mut Vec::new());
         }
         let seen = (tracker.guided(), tracker.furthest(), tracker.is_stuck(success));
-        tracker.finish(success);
+        tracker.finish(&path, &pace, success);
         (seen, tracker.stuck())
     };
     // It stays at the second state of five.
@@ -231,6 +235,53 @@ fn a_guide_that_gets_stuck_is_used_less() {
     assert_eq!(episode(&[-3.0, -3.0], false, 0.99), ((true, 0.0, true), 1));
     // The path's end is reached, whatever comes after.
     assert_eq!(episode(&[3.0, 4.0, 3.0, 3.0, 3.0], false, 0.0), ((true, 1.0, false), 0));
+}
+
+/// Where the guide aims at the end of an episode over `places`, which then ends without success.
+fn aim(tracker: &mut Tracker, path: &MentorPath, pace: &Pace, places: &[f32]) -> Option<usize> {
+    tracker.begin(pace, 0.0);
+    for (at, place) in places.iter().enumerate() {
+        if at > 0 {
+            tracker.step();
+        }
+        tracker.observe(path, pace, &[*place], &mut Vec::new(), &mut Vec::new());
+    }
+    let goal = tracker.goal(path, pace);
+    tracker.finish(path, pace, false);
+    goal
+}
+
+#[test]
+fn a_guide_lets_go_where_it_does_not_get_on() {
+    let path = MentorPath::new(&waypoints(&[9], &[0, 2, 4, 6, 8, 10, 12, 14, 16]), 2, &goal(), 0.4);
+    let pinned = Pace { gate: false, ..PACE };
+    let release = Pace { frontier: FrontierKind::Release, ..pinned };
+    let skip = Pace { frontier: FrontierKind::Skip, ..pinned };
+    let ends = |pace: &Pace, episodes: &[&[f32]]| -> Vec<Option<usize>> {
+        let mut tracker = Tracker::new(&path, pace);
+        let goals = episodes.iter().map(|places| aim(&mut tracker, &path, pace, places)).collect();
+        assert!(tracker.fits(&path, pace));
+        goals
+    };
+    let (stuck, before, past): (&[f32], &[f32], &[f32]) = (&[0.0, 1.0, 2.0], &[0.0, 1.0], &[0.0, 1.0, 4.0]);
+    // Failures at state 2 and no others: after two of them it is a frontier, and stays one.
+    assert_eq!(ends(&pinned, &[stuck; 5]), [Some(3); 5]);
+    assert_eq!(ends(&release, &[stuck; 5]), [Some(3), Some(3), None, None, None]);
+    // Before it the guide leads on, and a jump over it is coming to it, too.
+    assert_eq!(ends(&release, &[stuck, stuck, before, past]), [Some(3), Some(3), Some(2), None]);
+    // An episode that got two states further has passed it; one that got one further has not.
+    assert_eq!(ends(&release, &[stuck, past, stuck, stuck]), [Some(3), Some(5), Some(3), Some(3)]);
+    let next: &[f32] = &[0.0, 1.0, 2.0, 3.0];
+    assert_eq!(ends(&release, &[stuck, next, stuck, stuck]), [Some(3), Some(4), Some(3), None]);
+    // With twice as many failures the goal moves on by a state for every two of them.
+    let aims = [Some(3), Some(3), None, None, Some(4), Some(4), Some(5)];
+    assert_eq!(ends(&skip, &[stuck; 7]), aims);
+    // Beyond the frontier and a lookahead it is as near as ever.
+    let beyond: &[f32] = &[0.0, 1.0, 2.0, 4.0];
+    assert_eq!(
+        ends(&skip, &[stuck, stuck, stuck, stuck, before, beyond, stuck])[4..],
+        [Some(2), Some(5), Some(3)]
+    );
 }
 
 /// The policy finds out which way an action leads, and a restored one goes on alike.

@@ -72,7 +72,7 @@ pub fn mentor_term<'a>(
     };
     let e_kl = annotations.errors()[j];
     let feasible = match rule.algo {
-        Algo::Dqn => return None,
+        Algo::Dqn | Algo::Trestle => return None,
         Algo::Diiqn => true,
         Algo::HaDiiqn => e_kl < rule.e_infeas,
     };

@@ -9,7 +9,7 @@ use crate::stats::{
 use serde::Serialize;
 
 /// The plain algorithms come first, in this order.
-const FIRST: [&str; 3] = ["dqn", "diiqn", "ha-diiqn"];
+const FIRST: [&str; 4] = ["dqn", "diiqn", "ha-diiqn", "trestle"];
 
 /// The runs of one arm on one task.
 #[derive(Clone, Debug)]

@@ -1,12 +1,13 @@
 //! What a run is called: its algorithm, and what it has that the paper's has not.
 
-use super::{CombineKind, Config, DrawKind, SelectionKind};
+use super::{Algo, CombineKind, Config, DrawKind, GuideKind, SelectionKind};
 
 impl Config {
-    /// Whether exploration follows what is known of the mentor's actions; never with `dqn`.
-    pub fn guided(&self) -> bool {
+    /// What guides exploration, if anything does. Actions are known only to algorithms that have a mentor.
+    pub fn guide(&self) -> Option<GuideKind> {
         let e = &self.exploration;
-        self.run.algo.has_mentor() && (e.guide_start > 0.0 || e.guide_end > 0.0)
+        let acts = e.guide == GuideKind::Learned || self.run.algo.has_mentor();
+        (acts && (e.guide_start > 0.0 || e.guide_end > 0.0)).then_some(e.guide)
     }
 
     /// Whether rewards are shaped.
@@ -16,24 +17,26 @@ impl Config {
 
     /// Whether a demonstration is needed, be it for a mentor-server or not.
     pub fn needs_demonstration(&self) -> bool {
-        self.run.algo.has_mentor() || self.shaped()
+        self.run.algo.has_mentor() || self.needs_waypoints()
     }
 
     /// Whether actors or learner need the mentor's states themselves.
     pub fn needs_waypoints(&self) -> bool {
-        self.guided() || self.shaped()
+        self.guide().is_some() || self.shaped()
     }
 
     /// The name of the algorithm in results: that of `run.algo`, with a suffix for each extension of ours that is
     /// switched on, so that none can be taken for the paper's.
     pub fn arm(&self) -> String {
         let (mentor, with) = (&self.mentor, self.run.algo.has_mentor());
+        let learned = self.guide() == Some(GuideKind::Learned);
         let suffixes = [
             (with && mentor.selection == SelectionKind::Always, "+always"),
             (with && mentor.combine == CombineKind::Beside, "+beside"),
             (with && mentor.draw == DrawKind::Uniform, "+uniform"),
             (with && mentor.one_sided, "+one-sided"),
-            (self.guided(), "+guided"),
+            (self.guide() == Some(GuideKind::Known), "+guided"),
+            (learned && self.run.algo != Algo::Trestle, "+learned-bridges"),
             (self.shaped(), "+shaped"),
         ];
         let on = suffixes.iter().filter(|(on, _)| *on).map(|(_, suffix)| *suffix);
@@ -63,5 +66,9 @@ mod tests {
         assert_eq!(arm(&all), "ha-diiqn+always+beside+uniform+one-sided+guided");
         assert_eq!(arm(&[&all[..], &["run.algo=dqn"]].concat()), "dqn");
         assert_eq!(arm(&["run.algo=dqn", "shaping.potential=2"]), "dqn+shaped");
+        let learned = ["exploration.guide=learned", "exploration.guide_start=0.5"];
+        assert_eq!(arm(&[&["run.algo=dqn"], &learned[..]].concat()), "dqn+learned-bridges");
+        assert_eq!(arm(&["run.algo=dqn", learned[0]]), "dqn");
+        assert_eq!(arm(&["run.algo=trestle"]), "trestle");
     }
 }

@@ -1,7 +1,7 @@
 //! Rules over several settings, which no setting's own declaration can state.
 
 use super::accepts::{at_least, between};
-use super::{Config, ConfigError, DrawKind, Field, HazardKind, Mode, SelectionKind, refuse};
+use super::{Algo, Config, ConfigError, DrawKind, Field, GuideKind, HazardKind, Mode, SelectionKind, refuse};
 use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
 
 impl Config {
@@ -77,7 +77,13 @@ impl Config {
         require(paired, "mentor.draw", mentor.draw, "`similar` with mentor.selection = min-distance")?;
         // The mentor's losses know unshaped rewards only: the two would disagree about every value.
         let accepted = format!("0 with run.algo = {algo}");
-        require(!(self.shaped() && algo.has_mentor()), "shaping.potential", potential, &accepted)
+        require(!(self.shaped() && algo.has_mentor()), "shaping.potential", potential, &accepted)?;
+        let e = &self.exploration;
+        let learned = algo != Algo::Trestle || e.guide == GuideKind::Learned;
+        require(learned, "exploration.guide", e.guide, "learned with run.algo = trestle")?;
+        let some = algo != Algo::Trestle || self.guide().is_some();
+        let accepted = "above 0 with run.algo = trestle, or exploration.guide_end above 0";
+        require(some, "exploration.guide_start", e.guide_start, accepted)
     }
 }
 

@@ -16,18 +16,29 @@ settings! {
         /// Actor i of N acts with ε to the power of 1 + `epsilon_spread` i / (N - 1). 0: all with the same ε. Horgan et al.
         /// (2018, "Distributed Prioritized Experience Replay") have 7.
         epsilon_spread: f64 = 0.0, between(0.0, 100.0);
-        /// Guided exploration, which the paper does not have: the share of the exploring steps, at the first step, that take the
-        /// action known for the nearest similar mentor state. Without effect for `dqn`.
+        /// What guides exploration, which the paper does not have.
+        guide: GuideKind = GuideKind::Known;
+        /// The share of the exploring steps, at the first step, that are guided.
         guide_start: f64 = 0.0, between(0.0, 1.0);
         /// That share from `guide_decay_steps` on.
         guide_end: f64 = 0.0, between(0.0, 1.0);
-        /// Environment steps of all actors over which that share falls linearly.
+        /// Environment steps of all actors over which that share falls linearly. 0: as many as ε takes, `epsilon_decay_steps`.
         guide_decay_steps: u64 = 50_000;
     }
 }
 
+choices! {
+    /// What guides exploration.
+    pub enum GuideKind {
+        /// The action that is known for the nearest similar mentor state. Without effect for `dqn`, which has no annotations.
+        Known = "known",
+        /// A policy that leads along the mentor's path, learnt in hindsight from the observer's own steps: `[mentor.learned]`.
+        Learned = "learned",
+    }
+}
+
 /// Hidden layers at most: input and output are sizes of the network, too.
-const MAX_HIDDEN: usize = MAX_SIZES - 2;
+pub(super) const MAX_HIDDEN: usize = MAX_SIZES - 2;
 
 settings! {
     /// `[learner]`

@@ -2,7 +2,7 @@
 
 use super::environments::{chosen, complete, expand};
 use super::error::{unknown_key, unknown_source};
-use super::{Config, ConfigError, Environments, Field, before, refuse};
+use super::{Algo, Choice, Config, ConfigError, Environments, Field, before, refuse};
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
 use crate::regular_file::{self, FileError};
@@ -97,6 +97,10 @@ fn from_layers(
     let mut layers: Vec<Layer> = layers.into_iter().map(Layer::whole).collect();
     for text in overrides {
         layers.push(Layer::of_override(text)?);
+    }
+    let algo = layers.iter().filter_map(|layer| layer.table.get("run")?.get("algo")?.as_str()).next_back();
+    if let Some(algo) = algo.and_then(Algo::of_name) {
+        layers.insert(0, Layer::whole(parse("defaults of the algorithm", algo.defaults())?));
     }
     // What an environment's setting is short for depends on which environment it is in the end.
     let name = chosen(layers.iter().map(|layer| &layer.table), environments)?;
@@ -319,7 +323,7 @@ mod tests {
         );
         assert_eq!(
             refused(&["run.algo=ha-diqn"]),
-            "run.algo = ha-diqn; accepted: dqn, diiqn, ha-diiqn; did you mean `ha-diiqn`?"
+            "run.algo = ha-diqn; accepted: dqn, diiqn, ha-diiqn, trestle; did you mean `ha-diiqn`?"
         );
         assert!(refused(&["learner"]).contains("key=value"));
         assert!(refused(&["learner.lr.x=1"]).ends_with("accepted: a number above 0"));

@@ -1,13 +1,13 @@
 //! `[mentor]` and `[shaping]`: demonstration and imitation, and the shaping of `dqn`'s rewards.
 
 use super::accepts::{Accepts, above, any, at_least, between};
-use super::{Demos, PLAN, Threshold};
+use super::{Demos, Learned, PLAN, Threshold};
 use crate::limits::MAX_BRIDGE_DEPTH;
 use crate::space::EnvSpec;
 use crate::{choices, settings};
 
 settings! {
-    /// `[mentor]`, unused by `dqn` unless its rewards are shaped.
+    /// `[mentor]`, unused by `dqn` unless its rewards are shaped or its exploration is guided by learned bridges.
     pub struct Mentor {
         /// Where the demonstration comes from: `plan` is a path that the environment plans, anything else a CSV file of states. A
         /// table names several.
@@ -50,6 +50,8 @@ settings! {
         c_max: u64 = 100, at_least(1);
         /// With `selection = "confidence"`: e_KL at which trust is gone.
         e_max: f64 = 1.0, above(0.0);
+        /// Learned bridges.
+        learned: Learned = Learned::default();
     }
 }
 

@@ -9,11 +9,13 @@ pub mod accepts;
 mod arm;
 mod before;
 mod combinations;
+mod defaults;
 mod demos;
 mod environment;
 mod environments;
 mod error;
 mod hazard;
+mod learned;
 mod learner;
 mod load;
 mod mentor;
@@ -29,7 +31,8 @@ pub use environment::{EncodingKind, Env, SHARED};
 pub use environments::{Environments, declared};
 pub use error::{ConfigError, refuse};
 pub use hazard::{Hazard, HazardKind, HazardScope};
-pub use learner::{Backend, Exploration, Learner, LossKind, TargetKind};
+pub use learned::{FrontierKind, Learned};
+pub use learner::{Backend, Exploration, GuideKind, Learner, LossKind, TargetKind};
 pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
     CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, SelectionKind,

@@ -44,13 +44,15 @@ choices! {
         Diiqn = "diiqn",
         /// Heterogeneous-action DIIQN: feasibility and bridges.
         HaDiiqn = "ha-diiqn",
+        /// Ours: double DQN that explores along the mentor's path by learned bridges.
+        Trestle = "trestle",
     }
 }
 
 impl Algo {
-    /// Whether it learns from a mentor.
+    /// Whether it learns from annotations of a mentor's transitions, and so needs a mentor-server.
     pub fn has_mentor(self) -> bool {
-        self != Self::Dqn
+        matches!(self, Self::Diiqn | Self::HaDiiqn)
     }
 }
 

@@ -1,5 +1,4 @@
-//! Guided exploration (ours, not the paper's): the action that is known for the mentor state nearest to where the actor
-//! is.
+//! A guide that takes the action which is known for the mentor state nearest to where the actor is.
 //!
 //! The mentor's states come with the plan and never change. What the observer has found out about them does, and is
 //! published with the weights: a table with one entry for each mentor transition, the action that the mentor's loss of
@@ -8,10 +7,11 @@
 use trestle_algorithm::similarity::metric::{Metric, MetricError};
 use trestle_algorithm::similarity::{Hit, Similarity};
 use trestle_proto::NONE;
+use trestle_proto::config::GuideKind;
 use trestle_proto::plan::RunPlan;
 
 /// The mentor's states, indexed as the mentor-server does it.
-pub struct Guide {
+pub struct Known {
     metric: Metric,
     similarity: Similarity,
     transition_of: Vec<u32>,
@@ -21,15 +21,15 @@ pub struct Guide {
     hits: Vec<Hit>,
 }
 
-impl Guide {
-    /// The guide of `plan`'s run; none without guided exploration.
+impl Known {
+    /// The guide of `plan`'s run; none unless exploration is guided by known actions.
     ///
     /// # Errors
     /// Settings that give no state distance.
     pub fn new(plan: &RunPlan) -> Result<Option<Self>, MetricError> {
         let mentor = &plan.config.mentor;
         let (Some(waypoints), Some(e_th)) = (&plan.waypoints, mentor.e_th.known()) else { return Ok(None) };
-        if !plan.config.guided() {
+        if plan.config.guide() != Some(GuideKind::Known) {
             return Ok(None);
         }
         let scale = &plan.spec.scale;

@@ -1,0 +1,88 @@
+//! Guided exploration (ours, not the paper's): an action that an exploring step takes instead of a random one.
+//!
+//! - [`known`]: the action that is known for the mentor state nearest to where the actor is;
+//! - [`learned`]: an action of a policy that leads along the mentor's path.
+
+mod known;
+mod learned;
+
+pub use known::Known;
+pub use learned::{Learned, Progress};
+
+use crate::worker::ActorError;
+use trestle_proto::acting::Acting;
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rng::Stream;
+
+/// What guides exploring steps.
+pub enum Guide {
+    /// Known actions.
+    Known(Known),
+    /// Learned bridges.
+    Learned(Box<Learned>),
+}
+
+impl Guide {
+    /// The guide of `plan`'s run; none without guided exploration.
+    ///
+    /// # Errors
+    /// Settings that give no state distance or no network.
+    pub fn new(plan: &RunPlan) -> Result<Option<Self>, ActorError> {
+        let known = Known::new(plan)?.map(Self::Known);
+        let learned = || Ok::<_, ActorError>(Learned::new(plan)?.map(|guide| Self::Learned(Box::new(guide))));
+        known.map_or_else(learned, |known| Ok(Some(known)))
+    }
+
+    /// The action in `obs`, if the guide has one. A learned guide draws it from `rng`.
+    pub fn action(&mut self, obs: &[f32], acting: &Acting, rng: &mut Stream) -> Option<u32> {
+        match self {
+            Self::Known(guide) => guide.action(obs, &acting.known),
+            Self::Learned(guide) => guide.action(obs, &acting.policy, rng),
+        }
+    }
+
+    /// An episode begins in `obs`.
+    pub fn begin(&mut self, obs: &[f32], rng: &mut Stream) {
+        if let Self::Learned(guide) = self {
+            guide.begin(obs, rng);
+        }
+    }
+
+    /// A step of the episode, with the reward that is reported, has led to `obs`.
+    pub fn follow(&mut self, obs: &[f32], reward: f64) {
+        if let Self::Learned(guide) = self {
+            guide.follow(obs, reward);
+        }
+    }
+
+    /// The episode has ended, and the environment `said` that it succeeded, or not.
+    pub fn finish(&mut self, said: bool) {
+        if let Self::Learned(guide) = self {
+            guide.finish(said);
+        }
+    }
+
+    /// What belongs to a snapshot; none where nothing does.
+    pub fn progress(&self) -> Option<&Progress> {
+        match self {
+            Self::Known(_) => None,
+            Self::Learned(guide) => Some(guide.progress()),
+        }
+    }
+
+    /// Whether `progress`, of a snapshot, can be that of `guide`.
+    pub fn fits(guide: Option<&Self>, progress: Option<&Progress>) -> bool {
+        match (guide, progress) {
+            (Some(Self::Learned(guide)), Some(progress)) => guide.fits(progress),
+            (Some(Self::Learned(_)), None) => false,
+            (_, progress) => progress.is_none(),
+        }
+    }
+
+    /// Goes on from `progress`, which [`Guide::fits`].
+    pub fn restore(&mut self, progress: Progress) {
+        if let Self::Learned(guide) = self {
+            guide.restore(progress);
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! From the plan of a run to the parts of learned bridges, and from settings that are automatic to numbers.
+
+use super::goal::Goal;
+use super::hindsight::{Hindsight, HindsightConfig};
+use super::path::{MentorPath, distance};
+use crate::demonstration::Demonstration;
+use trestle_proto::config::{GuideKind, Learned};
+use trestle_proto::plan::RunPlan;
+use trestle_proto::rng::{Purpose, stream};
+use trestle_proto::space::EnvSpec;
+use trestle_qnet::{AdamConfig, Layout, PlanError, init, kernels_of, network_of};
+
+/// The radius where it is automatic, in median steps of the mentor: the neighbours of a cell, and those across its corners.
+const RADIUS: f64 = 1.5;
+/// The window, likewise.
+const WINDOW: f64 = 8.0;
+/// The lookahead, likewise.
+const LOOKAHEAD: f64 = 3.0;
+
+/// Settings of learned bridges that make no sense with this environment and demonstration.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LearnedError {
+    /// Features that the environment does not have, or none.
+    #[error(
+        "mentor.learned.features = {found:?}; accepted for {env}: one or more of 0 to {last}, each once, in ascending order"
+    )]
+    Features {
+        /// The features.
+        found: Vec<usize>,
+        /// Name of the environment.
+        env: String,
+        /// Its last feature.
+        last: usize,
+    },
+    /// A mentor that stays where it is.
+    #[error(
+        "mentor.learned: no step of the demonstration changes the features {features:?}; accepted: other features, or a mentor \
+         that moves"
+    )]
+    Still {
+        /// The features.
+        features: Vec<usize>,
+    },
+}
+
+/// Puts features and lengths in the place of those that are automatic.
+///
+/// # Errors
+/// Features that are not the environment's, or in which the mentor stays where it is.
+pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) -> Result<(), LearnedError> {
+    let dim = spec.obs_dim();
+    if learned.features.is_empty() {
+        learned.features = (0..dim).filter(|feature| !spec.velocities.contains(feature)).collect();
+    }
+    let features = &learned.features;
+    let ascending = features.is_sorted_by(|a, b| a < b);
+    if !ascending || features.last().is_none_or(|&last| last >= dim) {
+        let (found, env) = (features.clone(), spec.name.clone());
+        return Err(LearnedError::Features { found, env, last: dim - 1 });
+    }
+    let stride = median_step(features, spec, mentor)
+        .ok_or_else(|| LearnedError::Still { features: features.clone() })?;
+    for (length, strides) in
+        [(&mut learned.radius, RADIUS), (&mut learned.window, WINDOW), (&mut learned.lookahead, LOOKAHEAD)]
+    {
+        if *length == 0.0 {
+            *length = strides * stride;
+        }
+    }
+    Ok(())
+}
+
+/// The median length of the mentor's steps, without those that lead nowhere; none without any other.
+fn median_step(features: &[usize], spec: &EnvSpec, mentor: &Demonstration) -> Option<f64> {
+    let place = |m: usize| -> Vec<f32> {
+        features.iter().map(|&feature| mentor.state(m)[feature] / spec.scale[feature]).collect()
+    };
+    let mut steps: Vec<f32> = Vec::with_capacity(mentor.n_transitions());
+    for i in 0..mentor.n_trajectories() {
+        let states = mentor.trajectory(i);
+        let lengths = states.clone().zip(states.skip(1)).map(|(m, next)| distance(&place(m), &place(next)));
+        steps.extend(lengths.filter(|&length| length > 0.0));
+    }
+    steps.sort_unstable_by(f32::total_cmp);
+    steps.get(steps.len() / 2).map(|&length| f64::from(length))
+}
+
+/// What π sees in `plan`'s run, and its network; none without learned bridges.
+///
+/// # Errors
+/// Settings that give no network.
+pub fn policy_of(plan: &RunPlan) -> Result<Option<(Goal, Layout)>, PlanError> {
+    let Some(sizes) = plan.policy_sizes() else { return Ok(None) };
+    let (_, encoding) = network_of(plan)?;
+    let goal = Goal::new(encoding, &plan.config.mentor.learned.features, &plan.spec.scale);
+    Ok(Some((goal, Layout::new(&sizes)?)))
+}
+
+/// The mentor's path in `plan`'s run, along which a tracker goes; none without learned bridges.
+pub fn path_of(plan: &RunPlan, goal: &Goal) -> Option<MentorPath> {
+    let waypoints = plan.waypoints.as_ref().filter(|_| plan.config.guide() == Some(GuideKind::Learned))?;
+    Some(MentorPath::new(waypoints, plan.spec.obs_dim(), goal, plan.config.mentor.learned.radius as f32))
+}
+
+/// All that learns π in `plan`'s run, with the initial weights of the plan's seed; none without learned bridges.
+///
+/// # Errors
+/// Settings that give no network.
+pub fn hindsight_of(plan: &RunPlan) -> Result<Option<Hindsight>, PlanError> {
+    let Some((goal, layout)) = policy_of(plan)? else { return Ok(None) };
+    let (seed, learned) = (plan.config.run.seed, &plan.config.mentor.learned);
+    let params = init(&layout, &mut stream(seed, Purpose::PolicyWeights, 0));
+    let config = HindsightConfig {
+        batch: learned.batch,
+        horizon: learned.horizon,
+        adam: AdamConfig { lr: learned.lr, ..AdamConfig::default() },
+    };
+    let rng = stream(seed, Purpose::PolicyReplay, 0);
+    Ok(Some(Hindsight::new(goal, layout, params, config, rng, kernels_of(plan)?)))
+}
