@@ -139,9 +139,15 @@ pub(crate) struct Resume {
 #[derive(Debug, Args)]
 #[command(after_help = presets())]
 pub(crate) struct Sweep {
-    /// A preset, or a TOML file; not needed with --resume
-    #[arg(value_name = "PRESET|CONFIG.TOML", required_unless_present = "resume")]
+    /// A preset, a TOML file, or `suite` for the tasks of a set; not needed with --resume
+    #[arg(value_name = "PRESET|CONFIG.TOML|suite", required_unless_present = "resume")]
     pub(crate) config: Option<String>,
+    /// With `suite`: the set of tasks, choosing, reporting, or a TOML file
+    #[arg(long, value_name = "SET|FILE", requires = "config")]
+    pub(crate) task_set: Option<String>,
+    /// With `suite`: only tasks whose names have this form, such as mazes-one-hot/* or */rooms-*; may be repeated
+    #[arg(long, value_name = "PATTERN", requires = "task_set")]
+    pub(crate) tasks: Vec<String>,
     /// Override one setting by its dotted key; may be repeated, the last one wins
     #[arg(long = "set", value_name = "KEY=VALUE", requires = "config")]
     pub(crate) sets: Vec<String>,

@@ -8,8 +8,10 @@ use crate::sweep::arms::{Arm, MAX_ARMS};
 use crate::sweep::jobs::default_jobs;
 use crate::sweep::manifest::Manifest;
 use crate::sweep::over::cross;
+use crate::sweep::suite::{SUITE, Suite, kinds, place};
 use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
 use anyhow::{Context, Result, bail, ensure};
+use std::collections::BTreeSet;
 use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
@@ -19,11 +21,17 @@ use trestle_report::stats::median;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "sweep", "warn");
-    let Asked { source, sets, limits, arms, seeds } = asked(args)?;
+    let Asked { source, sets, limits, arms, seeds, suite } = asked(args)?;
+    // Until everything is checked, what a suite makes is somewhere else.
+    let aside = tempfile::tempdir().context("cannot make a temporary directory")?;
+    let made = if suite.is_some() { aside.path() } else { &args.out };
+    if let Some(suite) = &suite {
+        suite.write(made)?;
+    }
     let mut most: Vec<Needs> = Vec::new();
     for arm in &arms {
         // Each arm is resolved as a run of it would be, before anything is started or written.
-        let resolved = check(configuration(&source, &sets, limits, arm, seeds[0])?)
+        let resolved = check(configuration(&source, &sets, limits, arm, seeds[0], made)?)
             .with_context(|| format!("arm {}", arm.name))?;
         most.push(resolved.needs());
     }
@@ -33,18 +41,24 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let together = at_once.min(all.len());
     check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
     Manifest::new(&source, sets, limits, arms.clone(), seeds).claim(&args.out, args.resume)?;
+    if let Some(suite) = &suite {
+        suite.write(&args.out)?;
+    }
+    let kinds = kinds(&arms);
+    let of_suite = arms.iter().any(|arm| arm.task.is_some());
     for weakness in weaknesses(&args.out) {
         crate::output::say(&format!("note: {weakness}"));
     }
     let sweep = Sweep {
         arms: arms.into_iter().map(|arm| arm.name).collect(),
+        kinds,
         jobs: all,
         out: args.out.clone(),
         at_once,
         quiet: args.quiet,
     };
     let swept = sweep.run()?;
-    report(&sweep, &swept)?;
+    if of_suite { by_group(&sweep, &swept) } else { report(&sweep, &swept) }?;
     let failed = swept.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
     if swept.interrupted {
         let out = args.out.display();
@@ -76,6 +90,8 @@ struct Asked {
     limits: Limits,
     arms: Vec<Arm>,
     seeds: Vec<u64>,
+    /// The tasks whose files are to be written.
+    suite: Option<Suite>,
 }
 
 /// What was typed, or without a configuration the sweep that is there; of its limits those that were typed.
@@ -86,11 +102,41 @@ fn asked(args: &Args) -> Result<Asked> {
         let there = Manifest::read(&args.out).ok().filter(|_| args.resume);
         let limits = there.map_or(args.limits, |there| args.limits.or(there.limits));
         let (sets, seeds) = (args.sets.clone(), seeds.0.clone());
-        return Ok(Asked { source: source.clone(), sets, limits, arms: arms(args, source)?, seeds });
+        if source == SUITE {
+            let (source, arms, suite) = on_suite(args)?;
+            return Ok(Asked { source, sets, limits, arms, seeds, suite: Some(suite) });
+        }
+        ensure!(
+            args.task_set.is_none(),
+            "--task-set with {source}; accepted: with {SUITE} in the place of a configuration"
+        );
+        return Ok(Asked {
+            source: source.clone(),
+            sets,
+            limits,
+            arms: arms(args, source)?,
+            seeds,
+            suite: None,
+        });
     }
     let Manifest { source, sets, limits, arms, seeds, .. } = Manifest::read(&args.out)?;
     let seeds = args.seeds.as_ref().map_or(seeds, |typed| typed.0.clone());
-    Ok(Asked { source, sets, limits: args.limits.or(limits), arms, seeds })
+    Ok(Asked { source, sets, limits: args.limits.or(limits), arms, seeds, suite: None })
+}
+
+/// What stands for the configuration in sweep.json, the arms on all tasks, and the tasks.
+fn on_suite(args: &Args) -> Result<(String, Vec<Arm>, Suite)> {
+    let name = args
+        .task_set
+        .as_ref()
+        .context("--task-set is not given; accepted: choosing, reporting, or a file")?;
+    let arms: Vec<Arm> =
+        args.algos.iter().copied().map(Arm::plain).chain(args.arms.iter().cloned()).collect();
+    ensure!(!arms.is_empty(), "{SUITE} without arms; accepted: --algos, such as dqn,ha-diiqn, or --arm");
+    ensure!(args.over.is_empty(), "--over with {SUITE}; accepted: --arm, or a set of tasks of your own");
+    let suite = Suite::load(name, &args.tasks)?;
+    let arms = distinct(suite.arms(&arms))?;
+    Ok((format!("{SUITE}:{name}"), arms, suite))
 }
 
 /// The arms as typed: plain algorithms first; without any, the configuration as it is.
@@ -101,18 +147,19 @@ fn arms(args: &Args, source: &str) -> Result<Vec<Arm>> {
         let config = trestle_proto::config::load(registry(), source, &args.sets)?;
         arms.push(Arm::plain(config.run.algo));
     }
-    let arms = cross(arms, &args.over);
+    distinct(cross(arms, &args.over))
+}
+
+/// `arms`, if there are not too many and their names differ.
+fn distinct(arms: Vec<Arm>) -> Result<Vec<Arm>> {
     ensure!(
         arms.len() <= MAX_ARMS,
-        "{} arms, those of --over included; accepted: up to {MAX_ARMS}",
+        "{} arms, those of --over and of tasks included; accepted: up to {MAX_ARMS}",
         arms.len()
     );
-    for (at, arm) in arms.iter().enumerate() {
-        ensure!(
-            arms[..at].iter().all(|other| other.name != arm.name),
-            "two arms are called {}; accepted: names that differ",
-            arm.name
-        );
+    let mut known = BTreeSet::new();
+    for arm in &arms {
+        ensure!(known.insert(&arm.name), "two arms are called {}; accepted: names that differ", arm.name);
     }
     Ok(arms)
 }
@@ -158,5 +205,35 @@ fn report(sweep: &Sweep, swept: &Swept) -> Result<()> {
     outln!(
         "medians are to \"solved\" over complete runs; one that was not solved counts as later than all others"
     );
+    Ok(())
+}
+
+/// A line for each arm on each group of a suite's tasks.
+fn by_group(sweep: &Sweep, swept: &Swept) -> Result<()> {
+    let mut rows: Vec<((&str, &str), [usize; 4])> = Vec::new();
+    for (job, outcome) in sweep.jobs.iter().zip(&swept.outcomes) {
+        let place = place(&sweep.arms[job.arm]);
+        let at = rows.iter().position(|(known, _)| *known == place).unwrap_or_else(|| {
+            rows.push((place, [0; 4]));
+            rows.len() - 1
+        });
+        let [runs, complete, solved, failed] = &mut rows[at].1;
+        *runs += 1;
+        match outcome {
+            Outcome::Complete(result) => {
+                *complete += 1;
+                *solved += usize::from(result.solved_episode.is_some());
+            }
+            Outcome::Failed(_) => *failed += 1,
+            Outcome::Unfinished => {}
+        }
+    }
+    let width =
+        |of: fn(&(&str, &str)) -> usize| rows.iter().map(|(place, _)| of(place)).max().unwrap_or(0).max(5);
+    let (group, arm) = (width(|place| place.0.len()), width(|place| place.1.len()));
+    outln!("{:group$}  {:arm$}  {:>11}  {:>6}  {:>6}", "tasks", "arm", "complete", "solved", "failed");
+    for ((of, name), [runs, complete, solved, failed]) in rows {
+        outln!("{of:group$}  {name:arm$}  {:>11}  {solved:>6}  {failed:>6}", format!("{complete}/{runs}"));
+    }
     Ok(())
 }

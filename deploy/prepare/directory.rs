@@ -451,7 +451,7 @@ fn draw() -> Result<u64> {
 }
 
 /// `arg` as a shell would need it.
-fn quoted(arg: &str) -> String {
+pub(crate) fn quoted(arg: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
     if !arg.is_empty() && arg.chars().all(plain) {
         arg.into()

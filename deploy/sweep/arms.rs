@@ -1,11 +1,12 @@
 //! The arms of a sweep: algorithms as they are, and settings with a name.
 
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 use std::str::FromStr;
 use trestle_proto::config::Algo;
 
 /// Arms of a sweep, at most.
-pub(crate) const MAX_ARMS: usize = 256;
+pub(crate) const MAX_ARMS: usize = 8192;
 /// Letters of a name, at most: it becomes a directory.
 const MAX_NAME: usize = 64;
 
@@ -16,12 +17,27 @@ pub(crate) struct Arm {
     pub(crate) name: String,
     /// `key=value`, as `--set` takes them.
     pub(crate) sets: Vec<String>,
+    /// With a suite: what it is trained on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) task: Option<Ground>,
+}
+
+/// What an arm of a suite is trained on, beneath the settings of the sweep and its own.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Ground {
+    /// The preset, in the place of the sweep's configuration.
+    pub(crate) preset: String,
+    /// `key=value`.
+    pub(crate) sets: Vec<String>,
+    /// The file of the demonstration, below the sweep's directory.
+    pub(crate) demonstration: PathBuf,
 }
 
 impl Arm {
     /// An algorithm as it is.
     pub(crate) fn plain(algo: Algo) -> Self {
-        Self { name: algo.name().into(), sets: vec![format!("run.algo={:?}", algo.name())] }
+        Self { name: algo.name().into(), sets: vec![format!("run.algo={:?}", algo.name())], task: None }
     }
 }
 
@@ -51,7 +67,7 @@ impl FromStr for Arm {
             Some(algo) => format!("run.algo={algo}"),
             None => set,
         };
-        Ok(Self { name: name.into(), sets: sets.into_iter().map(full).collect() })
+        Ok(Self { name: name.into(), sets: sets.into_iter().map(full).collect(), task: None })
     }
 }
 

@@ -122,10 +122,12 @@ impl Manifest {
             return refuse("settings are", &self.sets, &typed.sets);
         }
         for arm in &self.arms {
-            if let Some(other) =
-                typed.arms.iter().find(|other| other.name == arm.name && other.sets != arm.sets)
-            {
-                return refuse(&format!("arm {} is", arm.name), &arm.sets, &other.sets);
+            if let Some(other) = typed.arms.iter().find(|other| other.name == arm.name && *other != arm) {
+                let what = format!("arm {} is", arm.name);
+                return match arm.sets == other.sets {
+                    true => refuse(&what, &arm.task, &other.task),
+                    false => refuse(&what, &arm.sets, &other.sets),
+                };
             }
         }
         Ok(())

@@ -10,6 +10,7 @@ pub(crate) mod manifest;
 pub(crate) mod over;
 mod progress;
 pub(crate) mod seeds;
+pub(crate) mod suite;
 
 use crate::flags::Limits;
 use crate::prepare::{Existing, Resolved, has_leftovers, nothing_saved, recover, resolve, resolve_run};
@@ -26,6 +27,7 @@ use tokio::task::{JoinSet, LocalSet};
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
+use trestle_report::stats::mean;
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
@@ -59,6 +61,8 @@ pub(crate) enum Outcome {
 pub(crate) struct Sweep {
     /// Names of the arms.
     pub(crate) arms: Vec<String>,
+    /// For each arm the number of its kind, up to the number of arms: runs of one kind are taken to be equally fast.
+    pub(crate) kinds: Vec<usize>,
     /// All runs, arm by arm.
     pub(crate) jobs: Vec<Job>,
     /// Its directory.
@@ -78,15 +82,23 @@ pub(crate) struct Swept {
     pub(crate) interrupted: bool,
 }
 
-/// The configuration of `arm` and `seed`: `sets` for all arms, then the arm's own, then limits and seed.
+/// The configuration of `arm` and `seed` in `out`: what a suite says of its task, then `sets` for all arms, then the arm's own,
+/// then limits and seed.
 pub(crate) fn configuration(
     source: &str,
     sets: &[String],
     limits: Limits,
     arm: &arms::Arm,
     seed: u64,
+    out: &Path,
 ) -> Result<Config> {
-    let sets: Vec<String> = sets.iter().chain(&arm.sets).cloned().collect();
+    let mut below = Vec::new();
+    if let Some(task) = &arm.task {
+        below.clone_from(&task.sets);
+        below.push(format!("mentor.demo={:?}", out.join(&task.demonstration).display().to_string()));
+    }
+    let source = arm.task.as_ref().map_or(source, |task| &task.preset);
+    let sets: Vec<String> = below.iter().chain(sets).chain(&arm.sets).cloned().collect();
     let flags = |config: &mut Config| {
         limits.apply(config);
         config.run.seed = seed;
@@ -106,7 +118,7 @@ pub(crate) fn jobs(
     let mut jobs = Vec::with_capacity(arms.len() * seeds.len());
     for (number, arm) in arms.iter().enumerate() {
         for &seed in seeds {
-            let config = configuration(source, sets, limits, arm, seed)?;
+            let config = configuration(source, sets, limits, arm, seed, out)?;
             jobs.push(Job { arm: number, seed, dir: run_dir(out, &arm.name, seed), config });
         }
     }
@@ -189,24 +201,29 @@ impl Sweep {
         format!("{} seed {}", self.arms[job.arm], job.seed)
     }
 
-    /// The pace of each arm of which runs are finished already.
+    /// The pace of each kind of which runs are finished already.
     fn paces(&self, outcomes: &[Option<Outcome>]) -> Vec<Option<Pace>> {
         let mut paces = vec![None; self.arms.len()];
-        for (job, outcome) in self.jobs.iter().zip(outcomes) {
+        for (at, outcome) in outcomes.iter().enumerate() {
             if let Some(Outcome::Complete(result)) = outcome {
-                paces[job.arm].get_or_insert_with(Pace::default).ended(result.wall_s);
+                paces[self.kind(at)].get_or_insert_with(Pace::default).ended(result.wall_s);
             }
         }
         paces
     }
 
-    /// The `paces` that are known, and that of each other arm with runs in `queue` from a short run of it in a directory
-    /// that goes again. As many at once as there will be runs. An arm whose probe fails has no pace: what is wrong will be
+    /// The number of the kind of job `at`.
+    fn kind(&self, at: usize) -> usize {
+        self.kinds[self.jobs[at].arm]
+    }
+
+    /// The `paces` that are known, and that of each other kind with runs in `queue` from a short run of it in a directory
+    /// that goes again. As many at once as there will be runs. A kind whose probe fails has no pace: what is wrong will be
     /// said of its runs.
     async fn probe(&self, mut paces: Vec<Option<Pace>>, queue: &VecDeque<usize>) -> Vec<Option<Pace>> {
         let mut waiting: VecDeque<usize> = (0..self.arms.len())
-            .filter(|&arm| paces[arm].is_none())
-            .filter_map(|arm| queue.iter().copied().find(|&at| self.jobs[at].arm == arm))
+            .filter(|&kind| paces[kind].is_none())
+            .filter_map(|kind| queue.iter().copied().find(|&at| self.kind(at) == kind))
             .collect();
         let mut running: JoinSet<(usize, Result<f64>)> = JoinSet::new();
         loop {
@@ -218,8 +235,10 @@ impl Sweep {
             match running.join_next().await {
                 None => return paces,
                 Some(Ok((at, Ok(rate)))) => {
-                    let job = &self.jobs[at];
-                    paces[job.arm] = Some(Pace::new(most_steps(&job.config), rate));
+                    let kind = self.kind(at);
+                    let alike = queue.iter().filter(|&&other| self.kind(other) == kind);
+                    let steps: Vec<f64> = alike.map(|&at| most_steps(&self.jobs[at].config)).collect();
+                    paces[kind] = Some(Pace::new(mean(&steps), rate));
                 }
                 Some(Ok((at, Err(error)))) => {
                     tracing::debug!("a probe of {} failed: {error:#}", self.jobs[at].dir.display());
@@ -334,12 +353,21 @@ mod tests {
     #[test]
     fn an_arms_settings_come_after_those_of_all() {
         let arm: arms::Arm = "x:learner.lr=0.5".parse().unwrap();
-        let config =
-            configuration("maze-small", &["learner.lr=0.1".into()], Limits::default(), &arm, 4).unwrap();
+        let config = configuration(
+            "maze-small",
+            &["learner.lr=0.1".into()],
+            Limits::default(),
+            &arm,
+            4,
+            Path::new("o"),
+        )
+        .unwrap();
         assert_eq!((config.learner.lr, config.run.seed), (0.5, 4));
         let wrong: arms::Arm = "x:learner.rate=0.5".parse().unwrap();
-        let error =
-            format!("{:#}", configuration("maze-small", &[], Limits::default(), &wrong, 4).unwrap_err());
+        let error = format!(
+            "{:#}",
+            configuration("maze-small", &[], Limits::default(), &wrong, 4, Path::new("o")).unwrap_err()
+        );
         assert!(error.contains("arm x") && error.contains("learner.rate"), "{error}");
     }
 }

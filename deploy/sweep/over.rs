@@ -58,6 +58,7 @@ pub(crate) fn cross(arms: Vec<Arm>, over: &[Over]) -> Vec<Arm> {
         let arms = arms.iter().map(|arm| Arm {
             name: format!("{task}/{}", arm.name),
             sets: sets.iter().chain(&arm.sets).cloned().collect(),
+            task: arm.task.clone(),
         });
         arms.collect()
     };

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 pub(super) struct Progress<'a> {
     sweep: &'a Sweep,
-    /// The pace of each arm, where it is known, and its runs that have not ended; empty if nothing is shown.
+    /// The pace of each kind, where it is known, and its runs that have not ended; empty if nothing is shown.
     paces: Vec<(Option<Pace>, usize)>,
     done: usize,
     to_do: usize,
@@ -18,8 +18,8 @@ pub(super) struct Progress<'a> {
 
 impl<'a> Progress<'a> {
     pub(super) fn new(sweep: &'a Sweep, paces: Vec<Option<Pace>>, queue: &VecDeque<usize>) -> Self {
-        let left = |arm| queue.iter().filter(|&&at| sweep.jobs[at].arm == arm).count();
-        let paces: Vec<_> = paces.into_iter().enumerate().map(|(arm, pace)| (pace, left(arm))).collect();
+        let left = |kind| queue.iter().filter(|&&at| sweep.kind(at) == kind).count();
+        let paces: Vec<_> = paces.into_iter().enumerate().map(|(kind, pace)| (pace, left(kind))).collect();
         let terminal = (!sweep.quiet).then(Screen::new).flatten().map(|screen| {
             let total = screen.line(false);
             (screen, total)
@@ -52,10 +52,16 @@ impl<'a> Progress<'a> {
                 )
             });
         }
-        let unknown =
-            self.paces.iter().zip(&self.sweep.arms).filter(|((pace, left), _)| pace.is_none() && *left > 0);
-        for (_, arm) in unknown {
-            self.say(&format!("without {arm}, whose probe failed"));
+        for (kind, (pace, left)) in self.paces.iter().enumerate() {
+            if pace.is_none() && *left > 0 {
+                let arms = self.sweep.arms.iter().zip(&self.sweep.kinds);
+                let alike: Vec<&str> =
+                    arms.filter(|(_, of)| **of == kind).map(|(arm, _)| arm.as_str()).collect();
+                let Some((first, rest)) = alike.split_first() else { continue };
+                let rest =
+                    if rest.is_empty() { String::new() } else { format!(" and {} like it", rest.len()) };
+                self.say(&format!("without {first}{rest}, whose probe failed"));
+            }
         }
     }
 
@@ -72,8 +78,7 @@ impl<'a> Progress<'a> {
     /// Job `at` has ended after `seconds`.
     pub(super) fn ended(&mut self, at: usize, seconds: f64, outcome: &Outcome) {
         self.done += 1;
-        let job = &self.sweep.jobs[at];
-        if let Some((pace, left)) = self.paces.get_mut(job.arm) {
+        if let Some((pace, left)) = self.paces.get_mut(self.sweep.kind(at)) {
             *left = left.saturating_sub(1);
             if matches!(outcome, Outcome::Complete(_)) {
                 pace.get_or_insert_default().ended(seconds);

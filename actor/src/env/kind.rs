@@ -1,5 +1,6 @@
 //! What makes a type an environment that a configuration can choose: its settings, and what it offers besides steps.
 
+use super::grid::{ActionSet, Map};
 use super::{EnvError, Environment, Ground};
 use trestle_proto::config::{self, Config, ConfigError, Field, Preset, Table};
 
@@ -56,6 +57,15 @@ pub trait Kind: Environment + Sized + 'static {
         env: &config::Env,
         actions: &str,
     ) -> Result<Option<Vec<Vec<f32>>>, EnvError> {
+        Ok(None)
+    }
+
+    /// The map of which each state is a cell, (column, row), and a mentor's moves with the action set `actions`. None where states
+    /// are something else.
+    ///
+    /// # Errors
+    /// No map, or an action set that there is not.
+    fn cells(settings: &Self::Settings, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError> {
         Ok(None)
     }
 

@@ -1,5 +1,6 @@
 //! The environments of a program by name.
 
+use super::grid::{ActionSet, Map};
 use super::kind::{Finding, Kind};
 use super::{EnvError, Environment, Ground};
 use std::marker::PhantomData;
@@ -105,6 +106,14 @@ impl Registry {
         self.of(env)?.plan(env, actions)?.ok_or_else(|| EnvError::NoPlanner { env: env.name.clone() })
     }
 
+    /// The map whose cells the states are, and a mentor's moves: see [`Kind::cells`].
+    ///
+    /// # Errors
+    /// No map, or an action set that there is not.
+    pub fn cells(&self, env: &config::Env, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError> {
+        self.of(env)?.cells(env, actions)
+    }
+
     /// The environment as text for a terminal: see [`Kind::draw`].
     ///
     /// # Errors
@@ -173,6 +182,7 @@ trait AnyKind: Send + Sync {
     fn adopt(&self, typed: &Table, own: &Table) -> Result<Table, EnvError>;
     fn build(&self, env: &config::Env) -> Result<Box<dyn Environment>, EnvError>;
     fn plan(&self, env: &config::Env, actions: &str) -> Result<Option<Vec<Vec<f32>>>, EnvError>;
+    fn cells(&self, env: &config::Env, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError>;
     fn draw(&self, env: &config::Env, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError>;
     fn ground(&self, env: &config::Env) -> Result<Option<Box<dyn Ground>>, EnvError>;
     fn engine(&self, env: &config::Env) -> Result<Option<Table>, EnvError>;
@@ -233,6 +243,10 @@ impl<K: Kind> AnyKind for Typed<K> {
 
     fn plan(&self, env: &config::Env, actions: &str) -> Result<Option<Vec<Vec<f32>>>, EnvError> {
         K::plan(&typed(&env.own)?, env, actions)
+    }
+
+    fn cells(&self, env: &config::Env, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError> {
+        K::cells(&typed(&env.own)?, actions)
     }
 
     fn draw(&self, env: &config::Env, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError> {

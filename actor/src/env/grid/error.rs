@@ -1,7 +1,7 @@
 //! What can be wrong with a map or an action set that a configuration names.
 
 use super::map::MapError;
-use super::source::builtin_names;
+use super::source::{builtin_names, generator_names};
 use crate::env::EnvError;
 use trestle_proto::limits::MAX_MAP_SIDE;
 use trestle_proto::regular_file::FileError;
@@ -14,8 +14,10 @@ pub enum GridError {
     Map(#[from] MapError),
     /// Neither a built-in map nor a file.
     #[error(
-        "env.map = {name}; accepted: {builtin}, an existing file, or random:<seed>:<columns>x<rows>{hint}",
-        builtin = builtin_names()
+        "env.map = {name}; accepted: {builtin}, an existing file, or <generator>:<seed>:<columns>x<rows> with one of the \
+         generators {generators}{hint}",
+        builtin = builtin_names(),
+        generators = generator_names()
     )]
     UnknownMap {
         /// What was asked for.
@@ -28,12 +30,14 @@ pub enum GridError {
     ReadMap(FileError),
     /// A description of a random map that is none.
     #[error(
-        "env.map = {name}; accepted: random:<seed>:<columns>x<rows> with a whole number or `run` as the seed and \
-         4 to {MAX_MAP_SIDE} columns and rows"
+        "env.map = {name}; accepted: <generator>:<seed>:<columns>x<rows> with a whole number or `run` as the seed and \
+         {least} to {MAX_MAP_SIDE} columns and rows"
     )]
     RandomMap {
         /// What was asked for.
         name: String,
+        /// Fewest columns and rows of the generator.
+        least: usize,
     },
     /// `env.map_text` is given and is not the map that `env.map` names.
     #[error(

@@ -171,10 +171,22 @@ impl Map {
 
     /// A map without walls but its border, the start at the top left and the goal at the bottom right.
     pub(in crate::env) fn open(columns: usize, rows: usize) -> Self {
-        let mut map = Self { goal: [columns - 1, rows - 1], ..Self::enclosed(columns, rows) };
+        Self::with(columns, rows, [0, 0], [columns - 1, rows - 1], |_| true)
+    }
+
+    /// The map with these ends in which the cells are free that `free` says, and both ends.
+    pub(in crate::env) fn with(
+        columns: usize,
+        rows: usize,
+        start: Cell,
+        goal: Cell,
+        free: impl Fn(Cell) -> bool,
+    ) -> Self {
+        let mut map = Self { start, goal, ..Self::enclosed(columns, rows) };
         for row in 0..rows {
             for column in 0..columns {
-                map.set_wall([column, row], false);
+                let cell = [column, row];
+                map.set_wall(cell, !free(cell) && cell != start && cell != goal);
             }
         }
         map
@@ -209,6 +221,12 @@ impl Map {
     /// Whether `cell` is inside the map and no wall.
     pub fn is_free(&self, cell: Cell) -> bool {
         cell[0] < self.columns && cell[1] < self.rows && !self.walls[self.index(cell)]
+    }
+
+    /// Where a move in `direction` leads from `cell`, which must be free; none if it is blocked.
+    pub fn neighbour(&self, cell: Cell, direction: Direction) -> Option<Cell> {
+        let step = self.moves(&[direction]);
+        self.advance(self.index(cell), step[0]).map(|index| self.cell(index))
     }
 
     /// Number of cells that are no walls.

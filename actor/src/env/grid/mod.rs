@@ -3,7 +3,7 @@
 //!
 //! * [`Map`]: the text of a map, its cells, which moves are possible; [`resolve`]: where it comes from; [`foreign`]: those of others;
 //! * [`ActionSet`]: compass directions under a name; [`ActionSets`]: those that a configuration can name;
-//! * [`Search`], [`mentor_path`]: shortest paths; [`generate`]: random maps.
+//! * [`Search`], [`mentor_path`]: shortest paths; [`Generator`]: random maps.
 
 mod actions;
 mod error;
@@ -15,7 +15,7 @@ mod source;
 
 pub use actions::{ActionSet, ActionSets, Direction, IRREGULAR, REGULAR};
 pub use error::GridError;
-pub use generate::{MIN_SIDE, generate};
+pub use generate::Generator;
 pub use map::{Cell, Map, MapError, MapFault};
 pub(in crate::env) use map::{Index, Move};
 pub use search::{Search, mentor_path};

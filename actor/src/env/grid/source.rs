@@ -1,13 +1,12 @@
 //! Where a map comes from: compiled in, a file, or the generator.
 
 use super::GridError;
-use super::generate::{MIN_SIDE, generate};
+use super::generate::Generator;
 use super::map::{Map, MapError, MapFault};
 use std::path::Path;
 use trestle_proto::limits::{MAX_MAP_SIDE, MAX_TEXT_BYTES};
 use trestle_proto::names;
 use trestle_proto::regular_file::{self, NotText};
-use trestle_proto::rng::{Purpose, stream};
 
 /// The maps that are compiled in: name and text. `maze30` is the paper's; `maze-small` is ours, with shortest paths of
 /// 34 (regular) and 35 (irregular) moves. `umaze`, `medium` and `large` are D4RL's mazes with its goals, the starts ours.
@@ -25,8 +24,13 @@ pub(super) fn builtin_names() -> String {
 }
 
 /// What `env.map` accepts.
-pub const ACCEPTED: &str =
-    "maze30, maze-small, umaze, medium, large, a file, or `random:<seed>:<columns>x<rows>`";
+pub const ACCEPTED: &str = "maze30, maze-small, umaze, medium, large, a file, or `random:<seed>:<columns>x<rows>`; in the place \
+    of `random` also corridors-1, corridors-2, corridors-3, serpentine-1, serpentine-2, serpentine-3, rooms, cave, blocks, gap";
+
+/// Names of the generators, for people.
+pub(super) fn generator_names() -> String {
+    Generator::ALL.map(|(_, name, _)| name).join(", ")
+}
 
 /// The map of resolved settings: that of `text`, which `name` names.
 ///
@@ -70,18 +74,20 @@ fn generated(name: &str, seed: u64) -> Result<Option<Map>, GridError> {
     if let Some((_, text)) = BUILTIN.iter().find(|(known, _)| *known == name) {
         return Ok(Some(Map::parse(name, text)?));
     }
-    let Some(description) = name.strip_prefix("random:") else { return Ok(None) };
-    let (seed, columns, rows) =
-        random(description, seed).ok_or_else(|| GridError::RandomMap { name: name.into() })?;
-    Ok(Some(generate(columns, rows, &mut stream(seed, Purpose::Map, 0))))
+    let Some((kind, description)) = name.split_once(':') else { return Ok(None) };
+    let Some(generator) = Generator::of_name(kind) else { return Ok(None) };
+    let (seed, columns, rows) = random(generator, description, seed)
+        .ok_or_else(|| GridError::RandomMap { name: name.into(), least: generator.min_side() })?;
+    Ok(Some(generator.generate(seed, columns, rows)))
 }
 
 /// Seed, columns and rows in `<seed>:<columns>x<rows>`; the seed `run` is the run's.
-fn random(description: &str, run_seed: u64) -> Option<(u64, usize, usize)> {
+fn random(generator: Generator, description: &str, run_seed: u64) -> Option<(u64, usize, usize)> {
     let (seed, size) = description.split_once(':')?;
     let (columns, rows) = size.split_once('x')?;
     let seed = if seed == "run" { run_seed } else { seed.parse().ok()? };
-    let side = |text: &str| text.parse().ok().filter(|side| (MIN_SIDE..=MAX_MAP_SIDE).contains(side));
+    let sides = generator.min_side()..=MAX_MAP_SIDE;
+    let side = |text: &str| text.parse().ok().filter(|side| sides.contains(side));
     Some((seed, side(columns)?, side(rows)?))
 }
 
@@ -112,6 +118,7 @@ mod tests {
     #[test]
     fn all_built_in_maps_are_named_as_accepted() {
         assert!(ACCEPTED.starts_with(&builtin_names()));
+        assert!(Generator::ALL.iter().all(|(_, name, _)| ACCEPTED.contains(name)));
         assert!(refused("maze-smal").ends_with("did you mean `maze-small`?"));
     }
 
@@ -134,15 +141,15 @@ mod tests {
         assert_eq!(layout(path.to_str().unwrap(), 0), "S.\n.G\n");
         assert_eq!(layout("random:7:9x5", 1), layout("random:7:9x5", 2));
         assert_eq!(layout("random:run:9x5", 7), layout("random:7:9x5", 0));
+        assert_eq!(layout("cave:run:9x12", 7), Generator::Cave.generate(7, 9, 12).to_string());
         assert_eq!(Map::parse("m", &layout("random:7:9x5", 0)).unwrap().columns(), 9);
     }
 
     #[test]
     fn what_is_no_map_is_refused() {
-        assert!(
-            refused("no-such.txt")
-                .contains("accepted: maze30, maze-small, umaze, medium, large, an existing file, or random:")
-        );
+        assert!(refused("no-such.txt").contains(
+            "accepted: maze30, maze-small, umaze, medium, large, an existing file, or <generator>:"
+        ));
         for bad in [
             "random:",
             "random:1",
@@ -152,8 +159,10 @@ mod tests {
             "random:1:9x1001",
             "random:-1:9x9",
         ] {
-            assert!(refused(bad).contains("accepted: random:<seed>:<columns>x<rows>"), "{bad}");
+            assert!(refused(bad).contains("accepted: <generator>:<seed>:<columns>x<rows>"), "{bad}");
         }
+        assert!(refused("rooms:1:7x9").contains("8 to 1000 columns and rows"));
+        assert!(refused("labyrinth:1:9x9").contains("env.map = labyrinth:1:9x9; accepted: maze30"));
         let dir = tempfile::tempdir().unwrap();
         assert!(refused(dir.path().to_str().unwrap()).contains("is a directory; accepted: a regular file"));
         let path = dir.path().join("bytes.txt");

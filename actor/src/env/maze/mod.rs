@@ -13,7 +13,7 @@ mod settings;
 pub use environment::{BLOCKED_REWARD, GOAL_REWARD, MOVE_REWARD, Maze, REVISIT_REWARD};
 pub use settings::Settings;
 
-use super::grid::{self, mentor_path};
+use super::grid::{self, ActionSet, Map, mentor_path};
 use super::{EnvError, Ground, Kind};
 use environment::observation;
 use trestle_proto::config::{self, Preset};
@@ -53,6 +53,10 @@ impl Kind for Maze {
         let set = settings.action_set("mentor.actions", actions)?;
         let path = mentor_path(&settings.map, &map, &set)?;
         Ok(Some(path.into_iter().map(|cell| observation(cell).to_vec()).collect()))
+    }
+
+    fn cells(settings: &Settings, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError> {
+        Ok(Some((settings.map()?, settings.action_set("mentor.actions", actions)?)))
     }
 
     fn draw(settings: &Settings, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError> {

@@ -59,9 +59,8 @@ pub(super) fn xml(geometry: &Geometry, margin: f64, version: Version) -> Result<
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::env::grid::{Map, generate};
+    use crate::env::grid::{Generator, Map};
     use crate::env::point_maze::Layout;
-    use trestle_proto::rng::{Purpose, stream};
 
     #[test]
     fn margins_add_up_to_the_same_in_every_version() {
@@ -77,7 +76,7 @@ mod tests {
 
     #[test]
     fn too_many_walls_are_refused() {
-        let map = generate(400, 400, &mut stream(1, Purpose::Map, 0));
+        let map = Generator::Random.generate(1, 400, 400);
         let geometry = Geometry::new(map, Layout::D4rl);
         let refused = xml(&geometry, 0.002, Version::decode(340)).map(|text| text.len());
         assert!(matches!(refused, Err(MujocoError::Walls { most: MAX_WALLS, .. })), "{refused:?}");
