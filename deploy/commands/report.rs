@@ -12,9 +12,11 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::{Workspace, forward};
 use trestle_report::maze::{Maze, Step};
+use trestle_report::over_tasks::{Overview, Total};
 use trestle_report::read::{Run, read_runs};
+use trestle_report::stats::Estimate;
 use trestle_report::summary::{Group, arms, tasks};
-use trestle_report::write::{Report, write};
+use trestle_report::write::{MAX_DRAWN, Report, write};
 
 /// Mazes that are drawn, at most: of the first tasks, one for each arm.
 const MAX_MAZES: usize = 24;
@@ -24,7 +26,16 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let (runs, mut notes) = read_runs(&args.runs)?;
     let out = args.out.clone().unwrap_or_else(|| args.runs.join("report"));
     let mut mazes = Vec::new();
-    for task in tasks(&runs) {
+    let tasks_found = tasks(&runs);
+    let drawn = tasks_found.len() <= MAX_DRAWN;
+    if !drawn {
+        notes.push(format!(
+            "no pictures of single tasks: there are {}, and pictures of up to {MAX_DRAWN} are drawn; `trestle report` draws \
+             them for the directory of one task",
+            tasks_found.len()
+        ));
+    }
+    for task in tasks_found.iter().filter(|_| drawn) {
         for group in &task.groups {
             let Some(run) = middle(group) else { continue };
             if mazes.len() == MAX_MAZES {
@@ -50,9 +61,35 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     for (arm, warning) in arms(&tasks(&runs)).iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {
         crate::output::say(&format!("warning: {}, {}: {warning}", arm.task, arm.arm));
     }
-    write(&Report { title, runs: &runs, notes, mazes }, &out)?;
+    if let Some(overview) = write(&Report { title, runs: &runs, notes, mazes }, &out)? {
+        over_tasks(&overview)?;
+    }
     outln!("{} runs, {count} notes: {}", runs.len(), out.join("report.html").display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// A line for each arm on each group of tasks.
+fn over_tasks(overview: &Overview) -> Result<()> {
+    let of = |total: &Total| total.group.clone().unwrap_or_else(|| "all".into());
+    let widest = |of: &dyn Fn(&Total) -> usize| overview.totals.iter().map(of).max().unwrap_or(0).max(5);
+    let (group, arm) = (widest(&|total| of(total).len()), widest(&|total| total.arm.len()));
+    outln!(
+        "{:group$}  {:arm$}  {:>6}  {:>17}  {:>6}  {:>8}",
+        "tasks",
+        "arm",
+        "number",
+        "geometric mean",
+        "losses",
+        "largest"
+    );
+    for total in &overview.totals {
+        let Estimate { mid, low, high } = total.geometric_mean;
+        let mean = format!("{mid:.2} [{low:.2}, {high:.2}]");
+        let (of, name, worst) = (of(total), &total.arm, total.worst);
+        outln!("{of:group$}  {name:arm$}  {:>6}  {mean:>17}  {:>6}  {worst:>8.2}", total.tasks, total.losses);
+    }
+    outln!("ratios of median environment steps until solved, to {}'s on the same task", overview.baseline);
+    Ok(())
 }
 
 /// The complete run in the middle of its group by environment steps to solved: neither the luckiest nor the unluckiest.

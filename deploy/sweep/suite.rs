@@ -57,28 +57,38 @@ impl Suite {
         self.tasks.iter().flat_map(|task| arms.iter().map(move |arm| on(task, arm))).collect()
     }
 
-    /// Writes the maps and demonstrations of all tasks into `out`, and the commands that run each of them alone. What is there
-    /// already is written again: it is a function of the tasks.
+    /// Writes the maps and demonstrations of the tasks into `out`, and the commands that run each task alone that is there. What is
+    /// there already is written again: it is a function of the tasks.
     pub(crate) fn write(&self, out: &Path) -> Result<()> {
-        let mut commands = String::new();
         for task in &self.tasks {
-            let sets = self.set.settings(task);
-            let map = out.join(MAPS).join(format!("{}.txt", task.map.replace(':', "-")));
             let text = map_text(&task.map).with_context(|| format!("task {}", task.id))?;
-            put(&map, |file| file.write_all(text.as_bytes()))?;
+            put(&map(out, task), |file| file.write_all(text.as_bytes()))?;
             let mentor = out.join(demonstration(task));
             let states = self.set.demonstration(task).with_context(|| format!("task {}", task.id))?;
             fs::create_dir_all(mentor.parent().unwrap_or(out))
                 .with_context(|| format!("cannot make the directory of {}", mentor.display()))?;
             demo_file::write(&mentor, &states)?;
-            let files = [format!("env.map={}", map.display()), format!("mentor.demo={}", mentor.display())];
-            let own = sets.into_iter().filter(|set| !set.starts_with("env.map="));
-            commands += &format!("# {}\ntrestle train {}", task.id, quoted(&task.preset));
-            own.chain(files).for_each(|set| commands += &format!(" --set {}", quoted(&set)));
-            commands += "\n";
         }
+        let there = self.set.tasks().iter().filter(|task| out.join(demonstration(task)).exists());
+        let commands: String = there.map(|task| self.command(out, task)).collect();
         put(&out.join(COMMANDS), |file| file.write_all(commands.as_bytes()))
     }
+
+    /// The command that trains on `task` alone, with its files in `out`.
+    fn command(&self, out: &Path, task: &Task) -> String {
+        let files = [
+            format!("env.map={}", map(out, task).display()),
+            format!("mentor.demo={}", out.join(demonstration(task)).display()),
+        ];
+        let own = self.set.settings(task).into_iter().filter(|set| !set.starts_with("env.map="));
+        let sets: String = own.chain(files).map(|set| format!(" --set {}", quoted(&set))).collect();
+        format!("# {}\ntrestle train {}{sets}\n", task.id, quoted(&task.preset))
+    }
+}
+
+/// The file of a task's map in the sweep's directory `out`.
+fn map(out: &Path, task: &Task) -> PathBuf {
+    out.join(MAPS).join(format!("{}.txt", task.map.replace([':', '/'], "-")))
 }
 
 /// The file of a task's demonstration below the sweep's directory.

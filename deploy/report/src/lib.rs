@@ -3,6 +3,7 @@
 //! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves;
 //! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
 //! - [`summary`]: runs grouped by task and arm, with the figures of each group and pair;
+//! - [`over_tasks`]: arms compared over many tasks;
 //! - [`effect`]: how much of a mentor reached the training;
 //! - [`curves`]: many runs' records on one axis;
 //! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze;
@@ -13,6 +14,7 @@
 pub mod curves;
 pub mod effect;
 pub mod maze;
+pub mod over_tasks;
 mod page;
 pub mod plot;
 pub mod read;

@@ -1,6 +1,7 @@
 //! The page: everything in one file, for light and dark screens and for paper.
 
 use crate::effect::Effect;
+use crate::over_tasks::{LOSS, Overview, Ratio};
 use crate::stats::Estimate;
 use crate::summary::{ArmSummary, Comparison, Time};
 use std::fmt::Write;
@@ -19,6 +20,16 @@ pub(crate) struct Section<'a> {
     pub(crate) task: Option<&'a str>,
     /// Its pictures.
     pub(crate) figures: Vec<Figure>,
+}
+
+/// The numbers of the tables.
+pub(crate) struct Tables<'a> {
+    /// Each arm on each task.
+    pub(crate) arms: &'a [ArmSummary],
+    /// Each pair of arms on each task, and on all.
+    pub(crate) comparisons: &'a [Comparison],
+    /// All arms over all tasks, where there are several.
+    pub(crate) overview: Option<&'a Overview>,
 }
 
 const STYLE: &str = "
@@ -42,13 +53,7 @@ figcaption { position: absolute; clip-path: inset(50%) }
 ";
 
 /// The whole page.
-pub(crate) fn page(
-    title: &str,
-    arms: &[ArmSummary],
-    comparisons: &[Comparison],
-    sections: &[Section<'_>],
-    notes: &[String],
-) -> String {
+pub(crate) fn page(title: &str, tables: &Tables<'_>, sections: &[Section<'_>], notes: &[String]) -> String {
     let title = escape(title);
     let mut body = format!("<h1>{title}</h1>\n");
     // Writing to a String cannot fail.
@@ -58,8 +63,13 @@ pub(crate) fn page(
          that was not solved counts as later than any that was: a median is \"not reached\" where that is so for half \
          of the runs or more. Only runs that have run their whole length are counted; curves show all.</p>"
     );
-    arm_table(&mut body, arms);
-    comparison_table(&mut body, comparisons);
+    if let Some(overview) = tables.overview {
+        totals_table(&mut body, overview);
+        losses(&mut body, overview);
+        ratio_table(&mut body, overview);
+    }
+    arm_table(&mut body, tables.arms);
+    comparison_table(&mut body, tables.comparisons);
     for section in sections {
         let _ = writeln!(
             body,
@@ -83,6 +93,118 @@ pub(crate) fn page(
         "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width\">\n<title>{title}</title>\n<style>{STYLE}</style>\n<body>\n{body}</body>\n</html>\n"
     )
+}
+
+fn totals_table(body: &mut String, overview: &Overview) {
+    let baseline = escape(&overview.baseline);
+    let _ = writeln!(
+        body,
+        "<h2>Over tasks, compared with {baseline}</h2>\n<p class=\"faint\">Times are environment steps until solved, over {baseline}'s \
+         on the same task. A run that was not solved counts as if it had been with the last step of its budget. So the ratio of a \
+         task on which {baseline} was not solved is too high (&le;), and that of a task on which only the arm was not solved is too \
+         low (&ge;), and a loss. Other losses are ratios above {LOSS}.</p>\n<div class=\"wide\"><table>\n<tr><th>tasks</th>\
+         <th class=\"name\">arm</th><th>number</th><th>geometric mean<br>of ratios</th><th>interquartile mean<br>over runs</th>\
+         <th>probability of<br>fewer steps</th><th>share of runs<br>solved</th><th>{baseline}'s</th><th>faster on</th><th>losses</th>\
+         <th>largest ratio</th></tr>"
+    );
+    for total in &overview.totals {
+        let _ = writeln!(
+            body,
+            "<tr><td>{}</td><td class=\"name\">{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
+             <td>{}</td><td>{:.2}</td></tr>",
+            escape(total.group.as_deref().unwrap_or("all")),
+            escape(&total.arm),
+            total.tasks,
+            interval(total.geometric_mean, 2, "-"),
+            interval(total.iqm, 2, "-"),
+            interval(total.improvement, 2, "-"),
+            interval(total.solved_share, 2, "-"),
+            interval(total.baseline_solved_share, 2, "-"),
+            total.faster,
+            total.losses,
+            total.worst,
+        );
+    }
+    body.push_str("</table></div>\n");
+}
+
+/// The tasks on which an arm loses, by name.
+fn losses(body: &mut String, overview: &Overview) {
+    let losses: Vec<&Ratio> = overview.ratios.iter().filter(|ratio| ratio.loss).collect();
+    body.push_str("<h2>Losses</h2>\n");
+    if losses.is_empty() {
+        body.push_str("<p>No arm loses on any task.</p>\n");
+        return;
+    }
+    body.push_str("<ul>\n");
+    for ratio in losses {
+        let _ = writeln!(
+            body,
+            "<li>{} on {}: {}{}, {} of {} runs solved, of {} {} of {}</li>",
+            escape(&ratio.arm),
+            escape(&ratio.task),
+            ratio.bound.sign(),
+            interval(ratio.ratio, 2, "-"),
+            ratio.solved,
+            ratio.runs,
+            escape(&overview.baseline),
+            ratio.baseline_solved,
+            ratio.baseline_runs,
+        );
+    }
+    body.push_str("</ul>\n");
+}
+
+/// A line a task: the baseline's median, then the median and the ratio of each other arm.
+fn ratio_table(body: &mut String, overview: &Overview) {
+    let mut arms: Vec<&str> = overview.ratios.iter().map(|ratio| &ratio.arm[..]).collect();
+    arms.dedup();
+    let mut tasks: Vec<&str> = Vec::new();
+    for ratio in &overview.ratios {
+        if !tasks.contains(&&ratio.task[..]) {
+            tasks.push(&ratio.task);
+        }
+    }
+    let median = |steps: f64| if steps.is_finite() { group(steps, 0) } else { "not reached".into() };
+    let solved = |solved: usize, runs: usize| format!("<span class=\"faint\">{solved} of {runs}</span>");
+    let _ = write!(
+        body,
+        "<h2>Task by task</h2>\n<div class=\"wide\"><table>\n<tr><th>task</th><th>budget</th><th>{}: median<br>steps to solved</th>",
+        escape(&overview.baseline)
+    );
+    for arm in &arms {
+        let arm = escape(arm);
+        let _ = write!(body, "<th>{arm}: median<br>steps to solved</th><th>{arm}:<br>ratio</th>");
+    }
+    body.push_str("</tr>\n");
+    for task in tasks {
+        let of = |arm: &str| overview.ratios.iter().find(|ratio| ratio.task == task && ratio.arm == arm);
+        let Some(first) = arms.iter().find_map(|arm| of(arm)) else { continue };
+        let _ = write!(
+            body,
+            "<tr><td>{}</td><td>{}</td><td>{} {}</td>",
+            escape(task),
+            group(first.budget, 0),
+            median(first.baseline_median),
+            solved(first.baseline_solved, first.baseline_runs)
+        );
+        for arm in &arms {
+            let _ = match of(arm) {
+                Some(ratio) => write!(
+                    body,
+                    "<td>{} {}</td><td>{}{}{}</td>",
+                    median(ratio.median),
+                    solved(ratio.solved, ratio.runs),
+                    ratio.bound.sign(),
+                    interval(ratio.ratio, 2, "-"),
+                    if ratio.loss { " <strong>loss</strong>" } else { "" }
+                ),
+                None => write!(body, "<td>-</td><td>-</td>"),
+            };
+        }
+        body.push_str("</tr>\n");
+    }
+    body.push_str("</table></div>\n");
 }
 
 fn arm_table(body: &mut String, arms: &[ArmSummary]) {
@@ -208,7 +330,12 @@ mod tests {
     #[test]
     fn names_cannot_break_the_page() {
         let section = Section { task: Some("<script>"), figures: Vec::new() };
-        let page = page("a & b", &[], &[], &[section], &["\"x\" < y".into()]);
+        let page = page(
+            "a & b",
+            &Tables { arms: &[], comparisons: &[], overview: None },
+            &[section],
+            &["\"x\" < y".into()],
+        );
         assert!(!page.contains("<script>") && page.contains("&lt;script&gt;"));
         assert!(page.contains("<h1>a &amp; b</h1>") && page.contains("&quot;x&quot; &lt; y"));
     }

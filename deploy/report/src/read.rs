@@ -180,6 +180,8 @@ pub struct Run {
     pub arm: String,
     /// Its task.
     pub task: String,
+    /// The group of its task, where a suite has groups; empty otherwise.
+    pub group: String,
     /// The mark of its last start, if that is known: a copy has the same one.
     pub start: Option<u64>,
     /// Its resolved configuration.
@@ -209,7 +211,7 @@ impl Run {
 ///
 /// The arm of a run in `<arm>/seed-<N>` below `root` is `<arm>`; of any other run it is the name of its algorithm. The
 /// task is the environment's name, and where runs in several directories above their arms' have the same environment, that
-/// of the directory as well.
+/// of the directory as well. Runs of a suite, in `<group>/<task>/<arm>/seed-<N>`, have the task `<group>/<task>`.
 ///
 /// # Errors
 /// A directory that cannot be listed, no run at all, or too many of them.
@@ -242,14 +244,19 @@ pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
     Ok((runs, notes))
 }
 
-/// Adds to the task of each run the directory above its arm's where the environment alone does not tell tasks apart.
+/// Adds to the task of each run the directory above its arm's where the environment alone does not tell tasks apart. Two
+/// directories are a suite's group and task, and are the task's name.
 fn name_tasks(runs: Vec<(String, Run)>) -> Vec<Run> {
     let mut places: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for (above, run) in &runs {
         places.entry(run.task.clone()).or_default().insert(above.clone());
     }
     let name = |(above, mut run): (String, Run)| {
-        if places[&run.task].len() > 1 && !above.is_empty() {
+        if let Some((group, task)) = above.split_once('/')
+            && !task.contains('/')
+        {
+            (run.group, run.task) = (group.into(), above);
+        } else if places[&run.task].len() > 1 && !above.is_empty() {
             run.task = format!("{}, {above}", run.task);
         }
         run
@@ -365,6 +372,7 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
         path: path.into(),
         arm: place(root, path).1.unwrap_or_else(|| config.arm()),
         task,
+        group: String::new(),
         start,
         config,
         outcome,
@@ -514,6 +522,7 @@ mod tests {
                 path: path.into(),
                 arm: arm.into(),
                 task: "m".into(),
+                group: String::new(),
                 start,
                 config,
                 outcome: weights.is_some().then_some(outcome),
@@ -557,6 +566,7 @@ mod tests {
             path: PathBuf::new(),
             arm: "dqn".into(),
             task: task.into(),
+            group: String::new(),
             start: None,
             config: Config::default(),
             outcome: None,
@@ -570,6 +580,9 @@ mod tests {
         let named = name_tasks(runs.map(|(above, task)| (above.to_string(), run(task))).into());
         let tasks: Vec<&str> = named.iter().map(|run| run.task.as_str()).collect();
         assert_eq!(tasks, ["maze, hot", "maze, cold", "maze", "other", "other"]);
+        let of_suite =
+            name_tasks([("hot/a", "maze"), ("hot/b", "maze")].map(|(a, t)| (a.into(), run(t))).into());
+        assert_eq!((&of_suite[1].task[..], &of_suite[1].group[..]), ("hot/b", "hot"));
     }
 
     #[test]

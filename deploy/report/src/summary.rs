@@ -23,8 +23,10 @@ pub struct Group<'a> {
 /// The task of a set of runs, with its arms.
 #[derive(Clone, Debug)]
 pub struct Task<'a> {
-    /// Name of the environment.
+    /// Its name: that of the environment, or of a suite's task.
     pub name: &'a str,
+    /// The group of a suite's task; empty if there is none.
+    pub group: &'a str,
     /// The arms: the plain algorithms, then the others by name.
     pub groups: Vec<Group<'a>>,
 }
@@ -34,7 +36,7 @@ pub fn tasks(runs: &[Run]) -> Vec<Task<'_>> {
     let mut tasks: Vec<Task<'_>> = Vec::new();
     for run in runs {
         let at = tasks.iter().position(|task| task.name == run.task).unwrap_or_else(|| {
-            tasks.push(Task { name: &run.task, groups: Vec::new() });
+            tasks.push(Task { name: &run.task, group: &run.group, groups: Vec::new() });
             tasks.len() - 1
         });
         let groups = &mut tasks[at].groups;

@@ -10,7 +10,8 @@
 
 use crate::curves::{self, Axis};
 use crate::maze::Maze;
-use crate::page::{self, Figure, Section};
+use crate::over_tasks::{self, Bound, Overview, Ratio};
+use crate::page::{self, Figure, Section, Tables};
 use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, png};
 use crate::read::{Run, Series};
 use crate::stats::Estimate;
@@ -23,6 +24,8 @@ use trestle_proto::own_file;
 
 /// Version of the layout of report.json.
 const FORMAT: u32 = 1;
+/// Tasks whose pictures are drawn, at most. Where there are more, none is.
+pub const MAX_DRAWN: usize = 16;
 /// Spread of returns above which they are drawn on a logarithmic scale.
 const WIDE: f64 = 50.0;
 
@@ -70,6 +73,7 @@ struct Json<'a> {
     title: &'a str,
     arms: &'a [ArmSummary],
     comparisons: &'a [Comparison],
+    over_tasks: Option<&'a Overview>,
     notes: &'a [String],
 }
 
@@ -108,20 +112,32 @@ struct ChartRow<'a> {
     high: f64,
 }
 
-/// Writes `report` into the directory `out`, which is made if it is absent. Files of an earlier report are replaced.
+/// Writes `report` into the directory `out`, which is made if it is absent. Files of an earlier report are replaced. Gives the
+/// figures over tasks, where there are several.
 ///
 /// # Errors
 /// A picture that cannot be drawn or a file that cannot be written.
-pub fn write(report: &Report<'_>, out: &Path) -> Result<(), WriteError> {
+pub fn write(report: &Report<'_>, out: &Path) -> Result<Option<Overview>, WriteError> {
     let tasks = summary::tasks(report.runs);
     let (arms, comparisons) = (summary::arms(&tasks), summary::comparisons(&tasks));
+    let overview = over_tasks::overview(&tasks);
     let mut output = Output { dir: out, figures: Vec::new() };
     for dir in [out.to_path_buf(), out.join("pictures"), out.join("data")] {
         fs::create_dir_all(&dir).map_err(|source| WriteError::Io { path: dir, source })?;
     }
     let names = arm_names(&tasks);
     let mut sections = Vec::new();
-    for (index, task) in tasks.iter().enumerate() {
+    if let Some(overview) = &overview {
+        between_tasks(&mut output, overview, &names)?;
+    }
+    if comparisons.iter().any(|c| c.task.is_none()) {
+        improvement(&mut output, None, "all", &comparisons, &names)?;
+    }
+    if !output.figures.is_empty() {
+        sections.push(Section { task: None, figures: std::mem::take(&mut output.figures) });
+    }
+    let drawn = if tasks.len() > MAX_DRAWN { &[] } else { &tasks[..] };
+    for (index, task) in drawn.iter().enumerate() {
         let drawing =
             Drawing { task, prefix: format!("{:02}-{}", index + 1, slug(task.name)), names: &names };
         drawing.times(&mut output, &arms, &comparisons)?;
@@ -130,23 +146,26 @@ pub fn write(report: &Report<'_>, out: &Path) -> Result<(), WriteError> {
         drawing.mazes(&mut output, &report.mazes)?;
         sections.push(Section { task: Some(task.name), figures: std::mem::take(&mut output.figures) });
     }
-    if comparisons.iter().any(|c| c.task.is_none()) {
-        improvement(&mut output, None, "all", &comparisons, &names)?;
-        sections.push(Section { task: None, figures: std::mem::take(&mut output.figures) });
-    }
     output.csv("runs.csv", report.runs.iter().map(run_row))?;
     let json = Json {
         format: FORMAT,
         title: &report.title,
         arms: &arms,
         comparisons: &comparisons,
+        over_tasks: overview.as_ref(),
         notes: &report.notes,
     };
     let text = serde_json::to_string_pretty(&json)
         .map_err(|e| WriteError::Encode { what: "report.json", reason: e.to_string() })?;
     output.file("report.json", text.as_bytes())?;
-    let page = page::page(&report.title, &arms, &comparisons, &sections, &report.notes);
-    output.file("report.html", page.as_bytes())
+    let page = page::page(
+        &report.title,
+        &Tables { arms: &arms, comparisons: &comparisons, overview: overview.as_ref() },
+        &sections,
+        &report.notes,
+    );
+    output.file("report.html", page.as_bytes())?;
+    Ok(overview)
 }
 
 /// All arms in the order of their colours, which are the same for every task.
@@ -566,4 +585,164 @@ fn improvement(
         rule: Some(0.5),
     };
     output.intervals(&format!("{prefix}-improvement"), &chart)
+}
+
+/// A line of data/over-tasks-ratios.csv.
+#[derive(Serialize)]
+struct RatioRow<'a> {
+    group: &'a str,
+    task: &'a str,
+    arm: &'a str,
+    baseline: &'a str,
+    budget: f64,
+    runs: usize,
+    solved: usize,
+    baseline_runs: usize,
+    baseline_solved: usize,
+    median: f64,
+    baseline_median: f64,
+    ratio: f64,
+    low: f64,
+    high: f64,
+    bound: Bound,
+    loss: bool,
+}
+
+/// A line of data/over-tasks-totals.csv.
+#[derive(Serialize)]
+struct TotalRow<'a> {
+    group: &'a str,
+    arm: &'a str,
+    baseline: &'a str,
+    tasks: usize,
+    geometric_mean: f64,
+    geometric_mean_low: f64,
+    geometric_mean_high: f64,
+    iqm: f64,
+    iqm_low: f64,
+    iqm_high: f64,
+    improvement: f64,
+    improvement_low: f64,
+    improvement_high: f64,
+    solved_share: f64,
+    baseline_solved_share: f64,
+    faster: usize,
+    losses: usize,
+    worst: f64,
+}
+
+/// The numbers and pictures over all tasks.
+fn between_tasks(output: &mut Output<'_>, overview: &Overview, names: &[&str]) -> Result<(), WriteError> {
+    let baseline = &overview.baseline;
+    output.csv(
+        "data/over-tasks-ratios.csv",
+        overview.ratios.iter().map(|r| RatioRow {
+            group: &r.group,
+            task: &r.task,
+            arm: &r.arm,
+            baseline,
+            budget: r.budget,
+            runs: r.runs,
+            solved: r.solved,
+            baseline_runs: r.baseline_runs,
+            baseline_solved: r.baseline_solved,
+            median: r.median,
+            baseline_median: r.baseline_median,
+            ratio: r.ratio.mid,
+            low: r.ratio.low,
+            high: r.ratio.high,
+            bound: r.bound,
+            loss: r.loss,
+        }),
+    )?;
+    output.csv(
+        "data/over-tasks-totals.csv",
+        overview.totals.iter().map(|t| TotalRow {
+            group: t.group.as_deref().unwrap_or("all"),
+            arm: &t.arm,
+            baseline,
+            tasks: t.tasks,
+            geometric_mean: t.geometric_mean.mid,
+            geometric_mean_low: t.geometric_mean.low,
+            geometric_mean_high: t.geometric_mean.high,
+            iqm: t.iqm.mid,
+            iqm_low: t.iqm.low,
+            iqm_high: t.iqm.high,
+            improvement: t.improvement.mid,
+            improvement_low: t.improvement.low,
+            improvement_high: t.improvement.high,
+            solved_share: t.solved_share.mid,
+            baseline_solved_share: t.baseline_solved_share.mid,
+            faster: t.faster,
+            losses: t.losses,
+            worst: t.worst,
+        }),
+    )?;
+    profiles(output, overview, names)?;
+    let mut parts: Vec<(&str, &str)> = overview.ratios.iter().map(|r| (&r.arm[..], &r.group[..])).collect();
+    parts.dedup();
+    for (arm, group) in parts {
+        let ratios = overview.ratios.iter().filter(|r| (&r.arm[..], &r.group[..]) == (arm, group));
+        task_ratios(output, [arm, group, baseline], &ratios.collect::<Vec<_>>(), names)?;
+    }
+    Ok(())
+}
+
+/// Performance profiles.
+fn profiles(output: &mut Output<'_>, overview: &Overview, names: &[&str]) -> Result<(), WriteError> {
+    let of = |name: &&str| {
+        let profile = overview.profiles.iter().find(|profile| profile.arm == *name);
+        Line { name: (*name).into(), points: profile.map_or_else(Vec::new, |profile| profile.points.clone()) }
+    };
+    let lines: Vec<Line> = names.iter().map(of).collect();
+    let counts: Vec<Vec<usize>> =
+        lines.iter().map(|line| vec![overview.ratios.len(); line.points.len()]).collect();
+    let (low, high) = range(lines.iter().flat_map(|line| line.points.iter().map(|point| point.0)));
+    let chart = Chart {
+        title: "Performance profiles over all tasks".into(),
+        x: plot::Axis::exact(
+            &format!("environment steps over {}'s median on the task, binary logarithm", overview.baseline),
+            low,
+            high,
+        ),
+        y: plot::Axis::exact("share of runs solved, mean over tasks", 0.0, 1.0),
+        lines,
+        rules: Vec::new(),
+        note: "0: the baseline's median; band: 95 % stratified bootstrap interval".into(),
+    };
+    output.chart("over-tasks-profiles", &chart, &counts)
+}
+
+/// The ratio of `arm` on each task of `group`.
+fn task_ratios(
+    output: &mut Output<'_>,
+    [arm, group, baseline]: [&str; 3],
+    ratios: &[&Ratio],
+    names: &[&str],
+) -> Result<(), WriteError> {
+    let number = names.iter().position(|name| *name == arm).unwrap_or(0);
+    let row = |r: &&Ratio| plot::Row {
+        name: r
+            .task
+            .strip_prefix(group)
+            .unwrap_or(&r.task)
+            .trim_start_matches('/')
+            .chars()
+            .take(34)
+            .collect(),
+        arm: number,
+        estimate: r.ratio,
+        note: format!("{}{:.2}{}", r.bound.sign(), r.ratio.mid, if r.loss { " loss" } else { "" }),
+    };
+    let rows: Vec<plot::Row> = ratios.iter().map(row).collect();
+    let (_, high) = range(rows.iter().flat_map(|r| [r.estimate.mid, r.estimate.high]));
+    let of_group = if group.is_empty() { String::new() } else { format!(", {group}") };
+    let chart = Intervals {
+        title: format!("{arm} / {baseline}{of_group}: ratio of median steps to solved"),
+        note: "times cut off at the budget; 95 % bootstrap intervals; below 1 the arm is faster".into(),
+        x: plot::Axis::fit("ratio of medians", Scale::Linear, 0.0, high.clamp(1.2, 4.0)),
+        rows,
+        rule: Some(1.0),
+    };
+    output.intervals(&format!("over-tasks-ratio-{}", slug(&format!("{arm}-{group}"))), &chart)
 }

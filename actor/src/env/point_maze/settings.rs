@@ -10,7 +10,7 @@ use trestle_proto::{choices, settings};
 settings! {
     /// `[env.point-maze]`
     pub struct Settings {
-        /// The map. The seed `run` of a random map is the run's own. Its sides are 4 to 1000 cells long, 8 to 1000 but for `random`.
+        /// The map. The seed `run` of a random map is the run's own. Its sides are 4 to 1000 cells long, with other generators than `random` 5, 8 or 11 to 1000.
         map: String = "umaze".into(), any(grid::ACCEPTED);
         /// The map's text itself. It is filled in when the configuration is resolved, so that a run needs no other file.
         map_text: Option<String> = None, any::<String>("the text of the map that `map` names");

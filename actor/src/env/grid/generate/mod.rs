@@ -19,7 +19,7 @@ use trestle_proto::rng::{Purpose, Stream, stream};
 
 /// Smallest side of a map of the generator `random`, cells.
 const MIN_OPEN: usize = 4;
-/// Smallest side of a map of all others: three corridors of width 2.
+/// Smallest side of a map of those without corridors.
 const MIN_SIDE: usize = 8;
 
 /// A generator of maps. Each names the action sets with which the goal of its maps can be reached.
@@ -65,7 +65,12 @@ impl Generator {
 
     /// Fewest columns and rows of its maps.
     pub fn min_side(self) -> usize {
-        if self == Self::Random { MIN_OPEN } else { MIN_SIDE }
+        match self {
+            Self::Random => MIN_OPEN,
+            // Three corridors side by side.
+            Self::Corridors(width) | Self::Serpentine(width) => 3 * width + 2,
+            Self::Rooms | Self::Cave | Self::Blocks | Self::Gap => MIN_SIDE,
+        }
     }
 
     /// Its map of `columns` x `rows` cells, each [`Self::min_side`] or more, by `seed`.
