@@ -13,6 +13,8 @@ use trestle_proto::config::{Algo, Config as Settings, Mode};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::MAX_ACTORS;
 use trestle_proto::names;
+use trestle_suite::mentor::Mentor;
+use trestle_suite::set::MAX_TRAJECTORIES;
 
 /// Greedy episodes that a command plays, at most.
 const MAX_EPISODES: u64 = 4096;
@@ -232,23 +234,35 @@ impl FromStr for Which {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Demo {
-    /// Plan an optimal path of the mentor and write its states as CSV
-    Plan {
-        #[command(flatten)]
-        source: Source,
-        /// The file to write
-        #[arg(long, value_name = "FILE", value_parser = Target)]
-        out: PathBuf,
-        /// Replace the file if it exists
-        #[arg(long)]
-        overwrite: bool,
-    },
+    /// Plan an optimal path of the mentor, or what another mentor does, and write its states as CSV
+    Plan(Plan),
     /// Record greedy episodes of a run's newest checkpoint: their states, never their actions
     Record(Record),
     /// Take the states from a file or data set of others: HDF5 (Minari, D4RL, robomimic and others), Arrow, CSV, NPY, NPZ
     Import(Import),
     /// Describe a demonstration and how it meets a configuration's thresholds
     Inspect(Inspect),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Plan {
+    #[command(flatten)]
+    pub(crate) source: Source,
+    /// What the mentor does; all but the first four are bad ones
+    #[arg(long, default_value = "planned", value_parser = word::<Mentor>())]
+    pub(crate) mentor: Mentor,
+    /// Decides what the mentor leaves to chance
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u64>(0..=i64::MAX as u64))]
+    pub(crate) mentor_seed: u64,
+    /// Trajectories; more than one with the mentor `planned` where states are no cells of a map
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole::<u32>(1..=u64::from(MAX_TRAJECTORIES)))]
+    pub(crate) trajectories: u32,
+    /// The file to write
+    #[arg(long, value_name = "FILE", value_parser = Target)]
+    pub(crate) out: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
 }
 
 #[derive(Debug, Args)]

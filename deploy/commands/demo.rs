@@ -5,33 +5,45 @@ mod inspect;
 mod picture;
 mod record;
 
-use crate::cli::Demo;
+use crate::cli::{Demo, Plan, Source};
 use crate::prepare::{self, Resolved};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Algo, Config, Demos, PLAN};
+use trestle_suite::mentor::{Wanted, demonstration};
 
 pub(super) fn run(args: &Demo) -> Result<ExitCode> {
     match args {
-        Demo::Plan { source, out, overwrite } => {
-            let mut config = config::load(registry(), &source.config, &source.sets)?;
-            config.mentor.demo = Demos::one(PLAN);
-            free(out, *overwrite)?;
-            let resolved = meet(config)?;
-            let mentors = resolved.mentors.as_ref().context("the configuration has no mentor")?;
-            let demonstration = &mentors.all;
-            demo_file::write(out, demonstration)?;
-            report(out, demonstration)?;
-        }
+        Demo::Plan(args) => plan(args)?,
         Demo::Record(args) => record::run(args)?,
         Demo::Import(args) => import::run(args)?,
         Demo::Inspect(args) => inspect::run(args)?,
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn plan(args: &Plan) -> Result<()> {
+    let Source { config: source, sets } = &args.source;
+    let mut config = config::load(registry(), source, sets)?;
+    free(&args.out, args.overwrite)?;
+    let map = config.env.own.get("map").and_then(|map| map.as_str()).unwrap_or_default().to_string();
+    // All else that the configuration names is checked, too.
+    config.mentor.demo = Demos::one(PLAN);
+    meet(config)?;
+    let demonstration = demonstration(&Wanted {
+        source,
+        sets,
+        map: &map,
+        mentor: args.mentor,
+        seed: args.mentor_seed,
+        trajectories: args.trajectories,
+    })?;
+    demo_file::write(&args.out, &demonstration)?;
+    report(&args.out, &demonstration)
 }
 
 /// Refuses to write where something is, unless that was asked for.

@@ -1,6 +1,6 @@
 //! Sets of tasks as data.
 
-use crate::mentor::{Mentor, MentorError, demonstration};
+use crate::mentor::{Mentor, MentorError, Wanted, demonstration};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -19,7 +19,7 @@ const FORMAT: u32 = 1;
 /// Tasks of a set, at most.
 pub const MAX_TASKS: usize = 1000;
 /// Trajectories of a demonstration, at most.
-const MAX_TRAJECTORIES: u32 = 1000;
+pub const MAX_TRAJECTORIES: u32 = 1000;
 /// Letters of a part of a task's name, at most: it becomes a directory.
 const MAX_NAME: usize = 64;
 /// Largest file of a set, bytes.
@@ -191,7 +191,14 @@ impl TaskSet {
     /// # Errors
     /// A task that cannot be.
     pub fn demonstration(&self, task: &Task) -> Result<Demonstration, MentorError> {
-        demonstration(task, &self.settings(task))
+        demonstration(&Wanted {
+            source: &task.preset,
+            sets: &self.settings(task),
+            map: &task.map,
+            mentor: task.mentor,
+            seed: task.seed,
+            trajectories: task.trajectories,
+        })
     }
 }
 
