@@ -147,7 +147,8 @@ impl World {
             self.table.set_estimate(j, &Estimate { action, e_kl, start_kl: 0.0, reward });
         } else {
             let (next_obs, terminated) = (self.state(), self.rng.next_u32().is_multiple_of(4));
-            let bridge = Bridge { action, length: 2, reward, end_kl: 0.0, next_obs: &next_obs, terminated };
+            let bridge =
+                Bridge { action, length: 2, reward, end_kl: 0.0, next_obs: &next_obs, terminated, ahead: 1 };
             self.table.set_bridge(j, &bridge);
         }
         self.table.encode(j, &mut observed.changed);

@@ -4,6 +4,7 @@
 //! until then.
 
 use super::fence::Fence;
+use super::ground::map_file;
 use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
 use super::states::{clear_unborn, discard, is_unborn, move_aside, remove_temporaries};
@@ -321,6 +322,9 @@ impl Prepared {
         let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
         let former = if self.fresh { String::new() } else { former_commands(dir) };
         save(&dir.command(), format!("{former}{}\n", command.join(" ")).as_bytes())?;
+        if let Some(map) = map_file(&resolved.config.env)? {
+            save(&dir.map(), format!("{}\n", serde_json::to_string(&map)?).as_bytes())?;
+        }
         let build = serde_json::to_string_pretty(&BuildInfo::new(&resolved.config.env))?;
         save(&dir.build(), format!("{build}\n").as_bytes())?;
         if let Some(mentors) = resolved.mentors.as_ref().filter(|_| self.fresh) {

@@ -4,6 +4,7 @@
 //! - `possible`: whether the environment can be in what was demonstrated;
 //! - `probes`: what the machine must offer;
 //! - `fence`: the lock of a run's directory;
+//! - `ground`: the map for pictures;
 //! - `directory`: the run's directory is made, replaced, or taken over to go on in it;
 //! - `states`: what killed starts leave there and beside it.
 //!
@@ -11,6 +12,7 @@
 
 mod directory;
 mod fence;
+mod ground;
 mod possible;
 mod probes;
 mod resolve;

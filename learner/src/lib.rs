@@ -4,6 +4,7 @@ pub mod checkpoint;
 pub mod record;
 pub mod run;
 pub mod session;
+mod timeline;
 
 // The run that the algorithm's own tests are about.
 #[cfg(test)]

@@ -274,7 +274,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         let mut batch = self.spare.pop().unwrap_or_default();
         let message = self.link.recv(&mut batch, timeout)?;
         if !timeout.is_zero() {
-            self.session.waited(start.elapsed());
+            self.session.waited_for_actors(start.elapsed());
         }
         let came = message.is_some();
         match message {
@@ -443,7 +443,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             let request = request(self.plan, round, first_index, OBSERVE, parts.len());
             let start = Instant::now();
             let answer = self.link.observe(&request, &parts, &mut self.answers);
-            self.session.waited(start.elapsed());
+            self.session.waited_for_mentor(start.elapsed());
             match answer {
                 Ok(()) => return Ok(true),
                 Err(error) if !self.barrier && is_lost_mentor(&error) => {
@@ -464,7 +464,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             if lost {
                 let start = Instant::now();
                 let joined = self.link.rejoin_mentor(self.stop);
-                self.session.waited(start.elapsed());
+                self.session.waited_for_mentor(start.elapsed());
                 match joined {
                     Err(LinkError::Interrupted(_)) => return Ok(false),
                     joined => joined?,

@@ -9,6 +9,7 @@ use crate::record::{
     ActorRow, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
     RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors, write_mentor,
 };
+use crate::timeline::Timeline;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -70,6 +71,7 @@ pub struct Session<'a> {
     dir: &'a RunDir,
     agent: Agent,
     recorder: Recorder,
+    timeline: Timeline,
     saver: Saver,
     /// The last tick that has been trained on; in free mode the last round.
     tick: u64,
@@ -90,10 +92,21 @@ pub struct Session<'a> {
     staleness: Staleness,
     /// Training since the last interval row.
     stats: TrainStats,
-    /// Time spent waiting for other processes since `since`.
-    waited: Duration,
+    /// Where the time since `since` went.
+    spent: Spent,
     since: Instant,
     progress: Box<dyn FnMut(&Progress) + 'a>,
+}
+
+/// Time that did not go into learning.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spent {
+    /// Waiting for actors.
+    actors: Duration,
+    /// Waiting for the mentor-server.
+    mentor: Duration,
+    /// Taking checkpoints, as far as training waits for it.
+    checkpoints: Duration,
 }
 
 /// What a checkpoint keeps of a session beside the agent.
@@ -127,10 +140,12 @@ impl<'a> Session<'a> {
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Self, SessionError> {
+        let timeline = Timeline::create(plan, dir, mentor.as_ref());
         Ok(Self {
             plan,
             dir,
             agent: Agent::new(plan, mentor)?,
+            timeline,
             recorder: Recorder::create(dir.root(), settings(plan))?,
             saver: Saver::new(dir.root()),
             tick: 0,
@@ -142,7 +157,7 @@ impl<'a> Session<'a> {
             actors: Vec::new(),
             staleness: Staleness::default(),
             stats: TrainStats::default(),
-            waited: Duration::ZERO,
+            spent: Spent::default(),
             since: Instant::now(),
             progress: Box::new(progress),
         })
@@ -156,12 +171,14 @@ impl<'a> Session<'a> {
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Resumed<'a>, SessionError> {
+        let transitions = mentor.clone();
         let loaded = checkpoint::load(&checkpoint::directory(dir.root(), tick), plan, mentor)?;
         let state: State = codec::decode(KIND, &loaded.run)?;
         let counters = loaded.agent.counters();
         let session = Self {
             plan,
             dir,
+            timeline: Timeline::resume(plan, dir, transitions.as_ref(), counters),
             agent: loaded.agent,
             recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
             saver: Saver::after(dir.root(), tick)?,
@@ -174,7 +191,7 @@ impl<'a> Session<'a> {
             actors: state.actors,
             staleness: Staleness::default(),
             stats: TrainStats::default(),
-            waited: Duration::ZERO,
+            spent: Spent::default(),
             since: Instant::now(),
             progress: Box::new(progress),
         };
@@ -271,8 +288,11 @@ impl<'a> Session<'a> {
             self.recorder.interval(&now, &gauges)?;
             self.stats = TrainStats::default();
             self.staleness = Staleness::default();
-            self.waited = Duration::ZERO;
+            self.spent = Spent::default();
             self.since = Instant::now();
+        }
+        if self.timeline.due() {
+            self.timeline.add(&self.agent, self.recorder.wall_s());
         }
         if self.recorder.progress_due() {
             self.show_progress();
@@ -330,6 +350,9 @@ impl<'a> Session<'a> {
             .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
             .collect();
         self.recorder.evaluation(&counters, &episodes)?;
+        if let Some(first) = evaluation.episodes.first() {
+            self.timeline.evaluation(&first.path);
+        }
         if self.recorder.solved() {
             self.solved_by.get_or_insert(counters);
         }
@@ -343,9 +366,14 @@ impl<'a> Session<'a> {
         self.ordered.is_some()
     }
 
-    /// Time spent waiting for other processes.
-    pub fn waited(&mut self, time: Duration) {
-        self.waited += time;
+    /// Time spent waiting for actors.
+    pub fn waited_for_actors(&mut self, time: Duration) {
+        self.spent.actors += time;
+    }
+
+    /// Time spent waiting for the mentor-server.
+    pub fn waited_for_mentor(&mut self, time: Duration) {
+        self.spent.mentor += time;
     }
 
     /// Whether a checkpoint is to be taken when the count of environment steps goes from `before` to `after`.
@@ -379,6 +407,7 @@ impl<'a> Session<'a> {
         let cut = Cut { plan, tick, agent, actors, run: &run, taken };
         self.saver.save(&cut, records)?;
         self.write_tables()?;
+        self.spent.checkpoints += start.elapsed();
         tracing::info!(stall_us = start.elapsed().as_micros() as u64, "checkpoint is taken");
         Ok(())
     }
@@ -387,6 +416,7 @@ impl<'a> Session<'a> {
     pub fn finish(mut self, interrupted: bool) -> Result<RunResult, SessionError> {
         self.saver.wait()?;
         self.show_progress();
+        self.timeline.add(&self.agent, self.recorder.wall_s());
         self.write_tables()?;
         let gauges = self.gauges();
         // In free mode the supervisor has counted since how many processes it has replaced.
@@ -418,12 +448,17 @@ impl<'a> Session<'a> {
 
     fn gauges(&self) -> Gauges {
         let config = &self.plan.config;
+        let share = |time: Duration| time.as_secs_f64() / self.since.elapsed().as_secs_f64();
         let mut gauges = Gauges {
             exploration_rate: schedule::epsilon(&config.exploration, self.agent.counters().env_steps),
             loss: self.stats.loss_mean(),
             learning_rate: config.learner.lr,
             replay_size: self.agent.replay().len() as u64,
-            ipc_wait_frac: self.waited.as_secs_f64() / self.since.elapsed().as_secs_f64(),
+            ipc_wait_frac: share(self.spent.actors + self.spent.mentor),
+            wait_actors_frac: share(self.spent.actors),
+            wait_mentor_frac: share(self.spent.mentor),
+            checkpoint_frac: share(self.spent.checkpoints),
+            memory_mb: resident_mb(),
             ..Gauges::default()
         };
         if config.run.mode == Mode::Free {
@@ -463,6 +498,13 @@ impl<'a> Session<'a> {
             visited_frac: share(summary.visited),
         })
     }
+}
+
+/// Memory of this process that is in use, MiB; NaN where the system does not say.
+fn resident_mb() -> f64 {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages = statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<f64>().ok());
+    pages.map_or(f64::NAN, |pages| pages * rustix::param::page_size() as f64 / f64::from(1 << 20))
 }
 
 /// What the recorder must know of the run.

@@ -10,6 +10,9 @@ use bytemuck::{cast_slice, cast_slice_mut};
 const FIXED_WORDS: usize = 10;
 /// The bridge's first step ended its episode in a terminal state, so s_feas has no value.
 const FEAS_TERMINATED: u32 = 1;
+/// Where in the flags the mentor state is that the bridge reaches, 8 bits.
+const AHEAD_SHIFT: u32 = 8;
+const AHEAD: u32 = 0xff << AHEAD_SHIFT;
 
 /// Words of one record for observations of `obs_dim` features.
 pub const fn record_words(obs_dim: usize) -> usize {
@@ -44,6 +47,9 @@ pub struct Bridge<'a> {
     pub next_obs: &'a [f32],
     /// Whether s_feas is terminal.
     pub terminated: bool,
+    /// How many mentor steps after s_m the mentor state is that it reached, 1 to 64; 0 where a run of an earlier version has not
+    /// noted it. For people: nothing is decided by it.
+    pub ahead: u32,
 }
 
 /// A record of a peer that cannot be right.
@@ -141,6 +147,7 @@ impl AnnotationTable {
             end_kl: self.end_kl[j],
             next_obs: &self.s_feas[j * self.obs_dim..][..self.obs_dim],
             terminated: self.flags[j] & FEAS_TERMINATED != 0,
+            ahead: (self.flags[j] & AHEAD) >> AHEAD_SHIFT,
         })
     }
 
@@ -158,7 +165,8 @@ impl AnnotationTable {
         self.a_feas[j] = bridge.action;
         self.r_feas[j] = bridge.reward;
         self.end_kl[j] = bridge.end_kl;
-        self.flags[j] = if bridge.terminated { FEAS_TERMINATED } else { 0 };
+        let terminated = if bridge.terminated { FEAS_TERMINATED } else { 0 };
+        self.flags[j] = terminated | (bridge.ahead << AHEAD_SHIFT) & AHEAD;
         self.s_feas[j * self.obs_dim..][..self.obs_dim].copy_from_slice(bridge.next_obs);
     }
 
@@ -233,8 +241,8 @@ impl AnnotationTable {
         if (r[5] == 0) != (r[6] == NONE) {
             return refuse("l_feas", f64::from(r[5]), "0 exactly where a_feas is none".into());
         }
-        if r[9] & !FEAS_TERMINATED != 0 {
-            return refuse("flags", f64::from(r[9]), "0 or 1".into());
+        if r[9] & !(FEAS_TERMINATED | AHEAD) != 0 {
+            return refuse("flags", f64::from(r[9]), "bits 0 and 8 to 15".into());
         }
         match r[FIXED_WORDS..].iter().map(|&w| f32::from_bits(w)).find(|x| !x.is_finite()) {
             Some(x) => refuse("s_feas", f64::from(x), "finite numbers".into()),
@@ -262,6 +270,7 @@ mod tests {
             end_kl: 0.125,
             next_obs: &[5.0, 6.0],
             terminated: true,
+            ahead: 64,
         };
         table.set_bridge(1, &bridge);
         let mut words = Vec::new();

@@ -10,6 +10,7 @@ pub mod codec;
 pub mod config;
 pub mod incarnation;
 pub mod limits;
+pub mod map_file;
 pub mod mentor;
 pub mod message;
 pub mod names;

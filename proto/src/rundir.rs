@@ -31,6 +31,10 @@ pub const ACTORS_FILE: &str = "actors.csv";
 pub const EVALS_FILE: &str = "evals.csv";
 /// Episodes and intervals.
 pub const METRICS_FILE: &str = "metrics.jsonl";
+/// Moments of the run, for its page.
+pub const TIMELINE_FILE: &str = "timeline.jsonl";
+/// Where the environment's states lie on a map, for pictures.
+pub const MAP_FILE: &str = "map.json";
 /// Logs, one file a process.
 pub const LOGS_DIR: &str = "logs";
 /// Checkpoints, one directory a tick.
@@ -139,6 +143,16 @@ impl RunDir {
     /// Episodes and intervals.
     pub fn metrics(&self) -> PathBuf {
         self.root.join(METRICS_FILE)
+    }
+
+    /// Moments of the run, for its page.
+    pub fn timeline(&self) -> PathBuf {
+        self.root.join(TIMELINE_FILE)
+    }
+
+    /// Where the environment's states lie on a map, for pictures.
+    pub fn map(&self) -> PathBuf {
+        self.root.join(MAP_FILE)
     }
 
     /// Logs, one file a process.

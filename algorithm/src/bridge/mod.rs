@@ -82,12 +82,14 @@ pub struct Path<'a> {
 }
 
 impl Path<'_> {
-    /// The smallest KL among the `hits` that are mentor states ahead of transition `j`.
-    fn nearest_end(&self, j: usize, hits: &[Hit]) -> Option<f32> {
+    /// The smallest KL among the `hits` that are mentor states ahead of transition `j`, and how many mentor steps ahead the first
+    /// such state is.
+    fn nearest_end(&self, j: usize, hits: &[Hit]) -> Option<(f32, u32)> {
         let ahead = self.order.ahead(j, self.rule.n);
         let from = hits.partition_point(|hit| (hit.state as usize) < ahead.start);
         let inside = hits[from..].iter().take_while(|hit| (hit.state as usize) < ahead.end);
-        inside.map(|hit| hit.kl).reduce(f32::min)
+        let nearest = inside.reduce(|nearest, hit| if hit.kl < nearest.kl { hit } else { nearest })?;
+        Some((nearest.kl, (nearest.state as usize - self.order.state_of(j)) as u32))
     }
 }
 

@@ -386,9 +386,11 @@ impl Search {
         for &j in &self.starts.touched {
             let j = j as usize;
             let mut end = (NEVER, f32::INFINITY);
+            let mut reached = path.order.state_of(j);
             for m in path.order.ahead(j, path.rule.n) {
                 if (self.ends.steps[m], self.ends.kl[m]) < end {
                     end = (self.ends.steps[m], self.ends.kl[m]);
+                    reached = m;
                 }
             }
             if end.0 == NEVER || (self.starts.steps[j] + 1 + end.0) as usize > path.rule.k {
@@ -403,6 +405,7 @@ impl Search {
                 next_obs: new.states.raw(first.to),
                 // A first step with another behind it did not end its episode.
                 terminated: self.starts.steps[j] == 0 && new.t.terminated(),
+                ahead: (reached - path.order.state_of(j)) as u32,
             };
             let place = Place { first: self.starts.steps[j] == 0, last: end.0 == 0 };
             if improve(table, j, &found, place) {

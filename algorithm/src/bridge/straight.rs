@@ -42,7 +42,7 @@ pub fn search(
             if table.errors()[j] < path.rule.e_infeas {
                 continue;
             }
-            let Some(end_kl) = path.nearest_end(j, ends) else { continue };
+            let Some((end_kl, ahead)) = path.nearest_end(j, ends) else { continue };
             let found = Bridge {
                 action: step.action,
                 length: length as u32,
@@ -50,6 +50,7 @@ pub fn search(
                 end_kl,
                 next_obs: states.raw(step.to),
                 terminated: step.terminated(),
+                ahead,
             };
             if improve(table, j, &found, Place { first: length == 1, last: true }) {
                 improved(j);

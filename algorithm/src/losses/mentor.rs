@@ -114,8 +114,15 @@ mod tests {
         table.set_estimate(3, &Estimate { action: 1, e_kl: 0.5, start_kl: 0.0, reward: -0.3 });
         for j in [3, 4] {
             let next_obs = &[9.0];
-            let bridge =
-                Bridge { action: 0, length: 2, reward: -0.4, end_kl: 0.0, next_obs, terminated: j == 4 };
+            let bridge = Bridge {
+                action: 0,
+                length: 2,
+                reward: -0.4,
+                end_kl: 0.0,
+                next_obs,
+                terminated: j == 4,
+                ahead: 1,
+            };
             table.set_bridge(j, &bridge);
         }
         (table, transitions)

@@ -87,6 +87,7 @@ mod tests {
             end_kl: 0.0,
             next_obs: &state,
             terminated: false,
+            ahead: 2,
         });
         let rows = [
             MentorRow { first: true, ..unknown },

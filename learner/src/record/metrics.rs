@@ -81,6 +81,14 @@ pub struct Gauges {
     pub replay_size: u64,
     /// Share of the wall clock spent waiting for other processes, 0 to 1.
     pub ipc_wait_frac: f64,
+    /// The part of it that went on waiting for actors.
+    pub wait_actors_frac: f64,
+    /// The part of it that went on waiting for the mentor-server.
+    pub wait_mentor_frac: f64,
+    /// Share of the wall clock for which training stood still while a checkpoint was taken, 0 to 1.
+    pub checkpoint_frac: f64,
+    /// Memory of this process that is in use, MiB.
+    pub memory_mb: f64,
     /// Free mode: mean age of the weights that batches were collected with, in publications, since the last interval.
     pub staleness_mean: f64,
     /// The highest of these ages.
@@ -122,6 +130,10 @@ impl Default for Gauges {
             mentor_loss_frac: f64::NAN,
             replay_size: 0,
             ipc_wait_frac: f64::NAN,
+            wait_actors_frac: f64::NAN,
+            wait_mentor_frac: f64::NAN,
+            checkpoint_frac: f64::NAN,
+            memory_mb: f64::NAN,
             staleness_mean: f64::NAN,
             staleness_max: f64::NAN,
             samples_per_insert: f64::NAN,
@@ -220,6 +232,10 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
     row.real("loss/mentor_frac", gauges.mentor_loss_frac);
     row.count("replay/size", gauges.replay_size);
     row.real("ipc/wait_frac", gauges.ipc_wait_frac);
+    row.real("ipc/wait_actors_frac", gauges.wait_actors_frac);
+    row.real("ipc/wait_mentor_frac", gauges.wait_mentor_frac);
+    row.real("time/checkpoint_frac", gauges.checkpoint_frac);
+    row.real("memory/learner_mb", gauges.memory_mb);
     row.real("free/staleness_mean", gauges.staleness_mean);
     row.real("free/staleness_max", gauges.staleness_max);
     row.real("free/samples_per_insert", gauges.samples_per_insert);
