@@ -6,6 +6,7 @@ use crate::sweep::jobs::MAX_JOBS;
 use crate::sweep::over::Over;
 use crate::sweep::seeds::Seeds;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 use trestle_mentor_server::import::{Columns, Episodes};
@@ -37,6 +38,8 @@ pub(crate) enum Command {
     Sweep(Sweep),
     /// Tables, plots and a page from any set of runs
     Report(Report),
+    /// Show a run, a sweep or a folder of runs in a browser, live
+    Watch(Watch),
     /// Play the greedy policy of a run's checkpoint and draw its path
     Eval(Eval),
     /// Work with demonstrations
@@ -99,6 +102,8 @@ pub(crate) struct Train {
     /// Replace the directory if it holds a run
     #[arg(long)]
     pub(crate) overwrite: bool,
+    #[command(flatten)]
+    pub(crate) beside: Beside,
     /// Print the result only
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -133,9 +138,32 @@ pub(crate) struct Resume {
     /// `[supervise]`; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
+    #[command(flatten)]
+    pub(crate) beside: Beside,
     /// Print the result only
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+/// The page beside what is trained.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct Beside {
+    /// Show it in a browser meanwhile, on this machine alone; at 8080 or the next free port if none is given
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
+    pub(crate) watch: Option<Option<u16>>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Watch {
+    /// A run, a sweep, or any directory with runs in it; it may be one that is to come
+    #[arg(value_name = "DIR", default_value = "runs")]
+    pub(crate) dir: PathBuf,
+    /// The port; 8080 or the next one that is free if not given, any free one if 0
+    #[arg(long, value_name = "N")]
+    pub(crate) port: Option<u16>,
+    /// The address; with 0.0.0.0 everybody who can reach this machine sees the page
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub(crate) bind: IpAddr,
 }
 
 #[derive(Debug, Args)]
@@ -176,6 +204,8 @@ pub(crate) struct Sweep {
     /// Keep the runs that are complete and go on with the others; with a higher --episodes or --env-steps prolong them all
     #[arg(long)]
     pub(crate) resume: bool,
+    #[command(flatten)]
+    pub(crate) beside: Beside,
     /// Print the summary only
     #[arg(long)]
     pub(crate) quiet: bool,

@@ -10,6 +10,7 @@ mod resume;
 mod role;
 mod sweep;
 mod train;
+mod watch;
 
 use crate::cli::{Cli, Command};
 use anyhow::{Context, Result};
@@ -50,6 +51,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Resume(args) => resume::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Report(args) => report::run(&args),
+        Command::Watch(args) => watch::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Map(args) => map::run(&args),

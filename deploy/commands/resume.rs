@@ -20,5 +20,6 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
         args.limits.apply(config);
     })
     .with_context(|| format!("{} is no run to go on with", root.display()))?;
+    train::show(args.beside, &root)?;
     train::go(config, &root, Existing::Resume, args.quiet)
 }

@@ -1,5 +1,6 @@
 //! `trestle sweep`
 
+use super::watch;
 use crate::cli::Sweep as Args;
 use crate::flags::Limits;
 use crate::prepare::{Needs, Resolved, check as check_machine, resolve, weaknesses};
@@ -40,6 +41,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let all = jobs(&source, &sets, limits, &arms, &seeds, &args.out)?;
     let together = at_once.min(all.len());
     check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
+    watch::beside(args.beside, &args.out, None)?;
     Manifest::new(&source, sets, limits, arms.clone(), seeds).claim(&args.out, args.resume)?;
     if let Some(suite) = &suite {
         suite.write(&args.out)?;

@@ -1,6 +1,7 @@
 //! `trestle train`
 
-use crate::cli::Train;
+use super::watch;
+use crate::cli::{Beside, Train};
 use crate::prepare::{self, Existing};
 use crate::reference;
 use crate::status::INTERRUPTED;
@@ -16,6 +17,9 @@ use trestle_proto::config::{self, Config, Environments};
 use trestle_proto::rundir::RunDir;
 use trestle_report::effect::Effect;
 
+/// Where runs go that no directory is named for.
+const RUNS: &str = "runs";
+
 pub(super) fn run(args: &Train) -> Result<ExitCode> {
     logging::init(0, "supervisor", "warn");
     let existing = match (args.resume, args.overwrite) {
@@ -30,8 +34,18 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         (None, Some(run)) if existing == Existing::Resume => run,
         (None, _) => default_out(&args.source.config, &config),
     };
+    show(args.beside, &root)?;
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
     go(config, &root, existing, args.quiet)
+}
+
+/// Serves the page of the run in `root` beside it, if that is asked for: one of those in `runs` together with them.
+pub(super) fn show(beside: Beside, root: &Path) -> Result<()> {
+    let among = root.parent().filter(|parent| *parent == Path::new(RUNS));
+    match (among, root.file_name().and_then(|name| name.to_str())) {
+        (Some(runs), Some(name)) => watch::beside(beside, runs, Some(name)),
+        _ => watch::beside(beside, root, None),
+    }
 }
 
 /// The configuration that `typed` names, and the run that it belongs to, if it does. With `--resume` a run's directory stands
@@ -125,7 +139,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
 /// `runs/<config>-<algo>-seed<N>`
 fn default_out(name: &str, config: &Config) -> PathBuf {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
-    Path::new("runs").join(format!("{stem}-{}-seed{}", config.arm(), config.run.seed))
+    Path::new(RUNS).join(format!("{stem}-{}-seed{}", config.arm(), config.run.seed))
 }
 
 /// The result in a few lines on standard output, and what to type next.
