@@ -229,13 +229,19 @@ pub(crate) struct Eval {
     /// Greedy episodes
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = whole::<u32>(1..=MAX_EPISODES))]
     pub(crate) episodes: u32,
-    /// The checkpoint, by its tick; `last` is the newest complete one
-    #[arg(long, value_name = "last|TICK", default_value = "last")]
+    /// The checkpoint, by its tick; `last` is the newest complete one, `best` that of the best greedy evaluation
+    #[arg(long, value_name = "last|best|TICK", default_value = "last")]
     pub(crate) checkpoint: Which,
     /// Seed of the episodes' random streams; the run's own if not given
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"))]
     pub(crate) seed: Option<u64>,
-    /// Print one JSON object instead, and draw nothing
+    /// Draw the first episode on its map into a file: .gif in motion, .png or .svg as a line
+    #[arg(long, value_name = "FILE", value_parser = Target)]
+    pub(crate) picture: Option<PathBuf>,
+    /// Replace the picture if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+    /// Print one JSON object instead, and draw nothing on the terminal
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -245,6 +251,8 @@ pub(crate) struct Eval {
 pub(crate) enum Which {
     /// The newest complete one.
     Last,
+    /// The weights of the best greedy evaluation.
+    Best,
     /// That of this tick.
     Tick(u64),
 }
@@ -255,8 +263,12 @@ impl FromStr for Which {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "last" => Ok(Self::Last),
+            "best" => Ok(Self::Best),
             _ => text.parse().map(Self::Tick).map_err(|_| {
-                format!("accepted: last, or the tick of a checkpoint{}", names::hint(text, ["last"]))
+                format!(
+                    "accepted: last, best, or the tick of a checkpoint{}",
+                    names::hint(text, ["last", "best"])
+                )
             }),
         }
     }

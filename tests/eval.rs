@@ -48,7 +48,7 @@ fn a_checkpoint_is_played_and_told_of_as_json() {
     assert_eq!(oldest["success_rate"], 0.0, "after 1000 steps it has learnt little");
     let near = (ticks[2] + 1).to_string();
     let all: Vec<String> = ticks.iter().rev().map(u64::to_string).collect();
-    let accepted = format!("accepted: last, {}", all.join(", "));
+    let accepted = format!("accepted: last, best, {}", all.join(", "));
     trestle(&["eval", &root, "--checkpoint", &near]).refused(&["--checkpoint", &near, &accepted]);
 
     // Fewer checkpoints are kept from a resumption on.

@@ -1,5 +1,6 @@
 //! `trestle eval`
 
+use super::picture;
 use crate::cli::{Eval, Which};
 use crate::output::say;
 use crate::prepare;
@@ -14,6 +15,7 @@ use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_proto::reply::EvaluationEpisode;
 use trestle_proto::rundir::RunDir;
+use trestle_qnet::Layout;
 
 /// Checkpoints that a refusal names, at most.
 const MAX_NAMED: usize = 6;
@@ -44,10 +46,10 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
             args.run.display()
         ));
     }
+    let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
     let mut plan = read_plan(&dir)?;
-    let (tick, path) = find(dir.root(), args.checkpoint)?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
-    let weights = checkpoint::load_model(&path, &layout)?;
+    let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
     // The map and the network are made; of what is left only random streams go by the seed.
     plan.config.run.seed = args.seed.unwrap_or(plan.config.run.seed);
     let mut worker = Worker::new(&plan, 0)?;
@@ -67,6 +69,10 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         success_rate: defined.then(|| mean(&|e| f64::from(u8::from(e.success == Some(true))))),
         threshold: plan.threshold(),
     };
+    if let Some((out, kind)) = args.picture.as_deref().zip(kind) {
+        let path = episodes.first().map_or(&[][..], |episode| &episode.path);
+        picture::write(&dir, &plan, path, out, kind)?;
+    }
     if args.json {
         outln!("{}", serde_json::to_string(&figures).context("cannot encode the figures")?);
         return Ok(ExitCode::SUCCESS);
@@ -86,19 +92,42 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     {
         outln!("{drawn}");
     }
+    if let Some(out) = &args.picture {
+        outln!("picture: {}", out.display());
+    }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Tick and directory of the checkpoint that is asked for.
-fn find(root: &Path, which: Which) -> Result<(u64, PathBuf)> {
-    let tick = match which {
-        Which::Last => {
-            return checkpoint::newest_complete(root)?.with_context(|| {
-                format!("{} holds no complete checkpoint", RunDir::new(root).checkpoints().display())
-            });
+/// The weights that are asked for.
+struct Chosen {
+    tick: u64,
+    /// Where they are.
+    path: PathBuf,
+    weights: Vec<f32>,
+}
+
+fn choose(dir: &RunDir, which: Which, layout: &Layout) -> Result<Chosen> {
+    let root = dir.root();
+    let (tick, path) = match which {
+        Which::Best => {
+            let (best, weights) = checkpoint::load_best(root, layout).with_context(|| {
+                format!(
+                    "--checkpoint best: {} has no weights of a best evaluation; accepted: last",
+                    root.display()
+                )
+            })?;
+            return Ok(Chosen { tick: best.tick, path: dir.best(), weights });
         }
-        Which::Tick(tick) => tick,
+        Which::Last => checkpoint::newest_complete(root)?
+            .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?,
+        Which::Tick(tick) => find(root, tick)?,
     };
+    let weights = checkpoint::load_model(&path, layout)?;
+    Ok(Chosen { tick, path, weights })
+}
+
+/// Tick and directory of the checkpoint of `tick`.
+fn find(root: &Path, tick: u64) -> Result<(u64, PathBuf)> {
     let mut ticks = checkpoint::complete(root)?;
     if ticks.contains(&tick) {
         return Ok((tick, checkpoint::directory(root, tick)));
@@ -110,7 +139,7 @@ fn find(root: &Path, which: Which) -> Result<(u64, PathBuf)> {
     let named: Vec<String> = ticks.iter().map(u64::to_string).collect();
     let nearest = if all > MAX_NAMED { ", the nearest of them" } else { "" };
     bail!(
-        "--checkpoint {tick}: {} holds no complete checkpoint of this tick; accepted: last{}{}{nearest}",
+        "--checkpoint {tick}: {} holds no complete checkpoint of this tick; accepted: last, best{}{}{nearest}",
         root.display(),
         if named.is_empty() { "" } else { ", " },
         named.join(", ")

@@ -5,6 +5,7 @@ mod demo;
 mod doctor;
 mod eval;
 mod map;
+mod picture;
 mod report;
 mod resume;
 mod role;

@@ -5,13 +5,15 @@ use anyhow::{Context, Result};
 use std::process::ExitCode;
 use trestle_actor::env::{Ground, registry};
 use trestle_actor::worker::Worker;
+use trestle_algorithm::agent::Agent;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_mentor_server::demo_file;
+use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::{Workspace, forward};
-use trestle_report::maze::{Maze, Step};
+use trestle_report::maze::{Maze, Place, Step};
 use trestle_report::over_tasks::{Overview, Total};
 use trestle_report::read::{Run, read_runs};
 use trestle_report::stats::Estimate;
@@ -113,18 +115,7 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     };
     let agent = checkpoint::load(&path, &plan, demonstration.clone())?.agent;
     let size = ground.size();
-    let mut mentor = Vec::new();
-    if let (Some(transitions), Some(rows)) = (&demonstration, agent.mentor_rows()) {
-        for (j, row) in rows.enumerate() {
-            let step = match row.bridge {
-                _ if row.feasible => Step::Feasible,
-                Some(_) => Step::Bridged,
-                None => Step::Infeasible,
-            };
-            let [from, to] = [row.state, transitions.next_state(j)].map(|state| ground.places(state));
-            mentor.extend(from.first().zip(to.first()).map(|(&from, &to)| (from, to, step)));
-        }
-    }
+    let mentor = demonstration.as_ref().map_or_else(Vec::new, |states| mentor_steps(&agent, states, ground));
     let replay = agent.replay();
     let fine = ground.squares();
     let [columns, rows] = size.map(|side| side * fine);
@@ -150,7 +141,27 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     }))
 }
 
-fn squares([columns, rows]: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
+/// The mentor's steps in `states` on the map, with what `agent` has found out about each.
+pub(super) fn mentor_steps(
+    agent: &Agent,
+    states: &MentorTransitions,
+    ground: &dyn Ground,
+) -> Vec<(Place, Place, Step)> {
+    let mut steps = Vec::new();
+    for (j, row) in agent.mentor_rows().into_iter().flatten().enumerate() {
+        let step = match row.bridge {
+            _ if row.feasible => Step::Feasible,
+            Some(_) => Step::Bridged,
+            None => Step::Infeasible,
+        };
+        let [from, to] = [row.state, states.next_state(j)].map(|state| ground.places(state));
+        steps.extend(from.first().zip(to.first()).map(|(&from, &to)| (from, to, step)));
+    }
+    steps
+}
+
+/// All squares of a map, row by row.
+pub(super) fn squares([columns, rows]: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     (0..rows).flat_map(move |row| (0..columns).map(move |column| [column, row]))
 }
 

@@ -4,7 +4,7 @@
 //!
 //! Every decision depends on counts alone; the clock only paces what people look at.
 
-use crate::checkpoint::{self, CheckpointError, Cut, Saver, Taken};
+use crate::checkpoint::{self, BestEvaluation, CheckpointError, Cut, Saver, Taken};
 use crate::record::{
     ActorRow, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
     RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors, write_mentor,
@@ -72,6 +72,10 @@ pub struct Session<'a> {
     agent: Agent,
     recorder: Recorder,
     timeline: Timeline,
+    /// The weights that the evaluation is played with that has been asked for, and their tick.
+    candidate: (u64, Vec<f32>),
+    /// The highest return of an evaluation whose weights have been kept.
+    best: Option<f64>,
     saver: Saver,
     /// The last tick that has been trained on; in free mode the last round.
     tick: u64,
@@ -146,6 +150,8 @@ impl<'a> Session<'a> {
             dir,
             agent: Agent::new(plan, mentor)?,
             timeline,
+            candidate: (0, Vec::new()),
+            best: None,
             recorder: Recorder::create(dir.root(), settings(plan))?,
             saver: Saver::new(dir.root()),
             tick: 0,
@@ -179,6 +185,9 @@ impl<'a> Session<'a> {
             plan,
             dir,
             timeline: Timeline::resume(plan, dir, transitions.as_ref(), counters),
+            candidate: (0, Vec::new()),
+            // Also one of evaluations that the run goes back behind: its weights are there.
+            best: checkpoint::best_so_far(dir.root()),
             agent: loaded.agent,
             recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
             saver: Saver::after(dir.root(), tick)?,
@@ -235,6 +244,10 @@ impl<'a> Session<'a> {
         // In free mode it may have had to wait for the one before, and is played with the weights of now.
         self.ordered =
             Some(if self.plan.config.run.mode == Mode::Free { self.agent.counters() } else { due });
+        let (tick, weights) = &mut self.candidate;
+        *tick = self.tick;
+        weights.clear();
+        weights.extend_from_slice(self.agent.weights());
         Some((self.evaluations, self.plan.config.eval.episodes))
     }
 
@@ -349,7 +362,10 @@ impl<'a> Session<'a> {
             .iter()
             .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
             .collect();
-        self.recorder.evaluation(&counters, &episodes)?;
+        let total_reward = self.recorder.evaluation(&counters, &episodes)?;
+        if self.best.is_none_or(|best| total_reward > best) {
+            self.keep_best(&counters, total_reward)?;
+        }
         if let Some(first) = evaluation.episodes.first() {
             self.timeline.evaluation(&first.path);
         }
@@ -358,6 +374,19 @@ impl<'a> Session<'a> {
         }
         self.ordered = None;
         self.evaluations += 1;
+        Ok(())
+    }
+
+    /// Keeps the weights of the evaluation that was asked for at `counters`, the best so far.
+    fn keep_best(&mut self, counters: &Counters, total_reward: f64) -> Result<(), SessionError> {
+        let start = Instant::now();
+        let Counters { episodes: episode, env_steps, .. } = *counters;
+        let (tick, weights) = &self.candidate;
+        let evaluation = BestEvaluation { tick: *tick, episode, env_steps, total_reward };
+        let layout = self.agent.network().layout();
+        checkpoint::write_best(self.dir.root(), layout, weights, &evaluation)?;
+        self.best = Some(total_reward);
+        self.spent.checkpoints += start.elapsed();
         Ok(())
     }
 

@@ -41,6 +41,8 @@ pub const LOGS_DIR: &str = "logs";
 pub const CHECKPOINTS_DIR: &str = "checkpoints";
 /// Link to the newest complete checkpoint.
 pub const LAST_LINK: &str = "last";
+/// The weights of the best greedy evaluation.
+pub const BEST_FILE: &str = "best.safetensors";
 /// The outcome.
 pub const RESULT_FILE: &str = "result.json";
 
@@ -173,6 +175,11 @@ impl RunDir {
     /// Link to the newest complete checkpoint.
     pub fn last(&self) -> PathBuf {
         self.root.join(LAST_LINK)
+    }
+
+    /// The weights of the best greedy evaluation.
+    pub fn best(&self) -> PathBuf {
+        self.root.join(BEST_FILE)
     }
 
     /// The outcome.

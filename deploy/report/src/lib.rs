@@ -6,13 +6,14 @@
 //! - [`over_tasks`]: arms compared over many tasks;
 //! - [`effect`]: how much of a mentor reached the training;
 //! - [`curves`]: many runs' records on one axis;
-//! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze;
+//! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze; [`film`]: an episode in it, in motion;
 //! - [`mod@write`]: everything into a directory, with the page that shows it.
 //!
 //! Nothing here knows networks or environments: the caller hands in the data for pictures of a maze.
 
 pub mod curves;
 pub mod effect;
+pub mod film;
 pub mod maze;
 pub mod over_tasks;
 mod page;

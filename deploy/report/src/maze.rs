@@ -151,6 +151,18 @@ impl Maze {
         self.walls[row * self.size[0] + column]
     }
 
+    /// Side of a cell, pixels: some five hundred for the longer side of the map.
+    fn side(&self) -> i32 {
+        (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 48) as i32 / 4 * 4
+    }
+
+    /// Where `place` is on the picture, pixels from its left and top.
+    pub(crate) fn pixel(&self, place: Place) -> (i32, i32) {
+        let side = f64::from(self.side());
+        let [x, y] = place.map(|at| ((at + 0.5) * side).round() as i32);
+        (LEFT + x, TOP + y)
+    }
+
     /// A map of `numbers`, coloured by their `share` (NaN: left blank); `marks` are written at its scale.
     fn heat(
         &self,
@@ -177,8 +189,7 @@ impl Maze {
         what: &str,
         draw: impl FnOnce(&Picture<'_, '_>) -> Result<(), PlotError>,
     ) -> Result<String, PlotError> {
-        // Some five hundred pixels for the longer side.
-        let side = (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 48) as i32 / 4 * 4;
+        let side = self.side();
         let [width, height] = self.size.map(|n| n as i32 * side);
         let size = [LEFT + width + LEGEND, (TOP + height + 16).max(TOP + 200)];
         svg(size.map(|n| n as u32), |area| {
@@ -216,8 +227,7 @@ impl Picture<'_, '_> {
     }
 
     fn point(&self, place: Place) -> (i32, i32) {
-        let [x, y] = place.map(|at| ((at + 0.5) * f64::from(self.side)).round() as i32);
-        (LEFT + x, TOP + y)
+        self.maze.pixel(place)
     }
 
     /// Fills a square, of which `fine` make up a cell's side.
@@ -301,7 +311,7 @@ impl Picture<'_, '_> {
 }
 
 /// The learnt path.
-const LEARNT: RGBColor = RGBColor(0x00, 0x9e, 0x73);
+pub(crate) const LEARNT: RGBColor = RGBColor(0x00, 0x9e, 0x73);
 
 #[cfg(test)]
 mod tests {

@@ -107,18 +107,22 @@ pub fn inline(svg: &str) -> String {
 /// # Errors
 /// An SVG that is none, or memory.
 pub fn png(svg: &str) -> Result<Vec<u8>, PlotError> {
-    const ZOOM: f32 = 2.0;
+    raster(svg, 2.0)?.encode_png().map_err(|e| PlotError::Raster(e.to_string()))
+}
+
+/// `svg` as pixels, `zoom` for each of its own.
+pub(crate) fn raster(svg: &str, zoom: f32) -> Result<Pixmap, PlotError> {
     let mut options = Options::default();
     let fonts = Arc::make_mut(&mut options.fontdb);
     fonts.load_font_data(include_bytes!("../font/DejaVuSans-subset.ttf").to_vec());
     fonts.set_sans_serif_family("DejaVu Sans");
     let tree = Tree::from_str(svg, &options).map_err(|e| PlotError::Raster(e.to_string()))?;
     let size = tree.size();
-    let pixels = |side: f32| (side * ZOOM).ceil() as u32;
+    let pixels = |side: f32| (side * zoom).ceil() as u32;
     let mut pixmap = Pixmap::new(pixels(size.width()), pixels(size.height()))
         .ok_or_else(|| PlotError::Raster(format!("no picture has {size:?} pixels")))?;
-    resvg::render(&tree, Transform::from_scale(ZOOM, ZOOM), &mut pixmap.as_mut());
-    pixmap.encode_png().map_err(|e| PlotError::Raster(e.to_string()))
+    resvg::render(&tree, Transform::from_scale(zoom, zoom), &mut pixmap.as_mut());
+    Ok(pixmap)
 }
 
 /// Text of `size` pixels, its anchor point at `horizontal` and `vertical` of it.

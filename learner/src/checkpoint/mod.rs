@@ -39,6 +39,7 @@
 //!
 //! Weight matrices are `[in, out]`, the transpose of PyTorch's `nn.Linear`.
 
+mod best;
 mod error;
 mod file;
 mod manifest;
@@ -47,6 +48,7 @@ mod saver;
 mod tensors;
 mod write;
 
+pub use best::{BestEvaluation, best_so_far, load_best, write_best};
 pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
 pub use read::{

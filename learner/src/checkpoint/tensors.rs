@@ -12,7 +12,12 @@ pub(super) enum TensorsError {
     Tensor { name: String, found: String, accepted: String },
     #[error("{found} tensors; accepted: {accepted}")]
     Count { found: usize, accepted: usize },
+    #[error("it does not say which evaluation its weights were best in")]
+    Evaluation,
 }
+
+/// Under which key the text is.
+const EVALUATION: &str = "evaluation";
 
 /// A tensor's name, shape and place in the flat vector.
 type Piece = (String, Vec<usize>, std::ops::Range<usize>);
@@ -42,6 +47,19 @@ fn views<'a>(
 /// The parameters `params` of a network of `layout` as the bytes of a file.
 pub(super) fn encode_params(layout: &Layout, params: &[f32]) -> Result<Vec<u8>, TensorsError> {
     Ok(safetensors::serialize(views(layout, "", params)?, None)?)
+}
+
+/// [`encode_params`] with a text beside them, which [`evaluation_of`] gives back.
+pub(super) fn encode_best(layout: &Layout, params: &[f32], text: String) -> Result<Vec<u8>, TensorsError> {
+    let beside = [(EVALUATION.to_string(), text)].into_iter().collect();
+    Ok(safetensors::serialize(views(layout, "", params)?, Some(beside))?)
+}
+
+/// The text beside the tensors in `bytes`.
+pub(super) fn evaluation_of(bytes: &[u8]) -> Result<String, TensorsError> {
+    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let text = header.metadata().as_ref().and_then(|beside| beside.get(EVALUATION).cloned());
+    text.ok_or(TensorsError::Evaluation)
 }
 
 /// The state of the optimiser as the bytes of a file.
