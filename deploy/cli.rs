@@ -42,6 +42,8 @@ pub(crate) enum Command {
     Watch(Watch),
     /// Play the greedy policy of a run's checkpoint and draw its path
     Eval(Eval),
+    /// Write a run's network for other programs
+    Export(Export),
     /// Work with demonstrations
     #[command(subcommand)]
     Demo(Demo),
@@ -70,8 +72,8 @@ pub(crate) enum Command {
 /// Where a configuration comes from.
 #[derive(Debug, Args)]
 pub(crate) struct Source {
-    /// A preset, or a TOML file
-    #[arg(value_name = "PRESET|CONFIG.TOML")]
+    /// A preset, a TOML file, or an environment of Gymnasium's, such as gym:CartPole-v1
+    #[arg(value_name = "PRESET|CONFIG.TOML|gym:ID")]
     pub(crate) config: String,
     /// Override one setting by its dotted key; may be repeated, the last one wins
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -244,6 +246,33 @@ pub(crate) struct Eval {
     /// Print one JSON object instead, and draw nothing on the terminal
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Export {
+    /// A run's directory
+    #[arg(value_name = "RUN")]
+    pub(crate) run: PathBuf,
+    /// The form of the file
+    #[arg(long, value_enum)]
+    pub(crate) format: Format,
+    /// The file to write
+    #[arg(long, value_name = "FILE", value_parser = Target)]
+    pub(crate) out: PathBuf,
+    /// The checkpoint, by its tick; `last` is the newest complete one
+    #[arg(long, value_name = "last|best|TICK", default_value = "last")]
+    pub(crate) checkpoint: Which,
+    /// Replace the file if it exists
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Format {
+    /// A model for onnxruntime and others, the encoding of its input included
+    Onnx,
+    /// Tensors with names
+    Safetensors,
 }
 
 /// One of a run's checkpoints.

@@ -104,7 +104,9 @@ fn nothing_but_the_registry_names_an_environment() {
 fn rust_files(dir: &Path, found: &mut Vec<PathBuf>) {
     let Ok(entries) = fs::read_dir(dir) else { return };
     for path in entries.map(|entry| entry.unwrap().path()) {
-        if path.is_dir() {
+        if path.ends_with("deploy/python") {
+            // The half of an environment that is a project of its own.
+        } else if path.is_dir() {
             rust_files(&path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);

@@ -19,13 +19,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut env = registry().build(&config)?;
     let mut rng = stream(0, Purpose::Environment, 0);
     let mut obs = vec![0.0; env.spec().obs_dim()];
-    env.reset(&mut rng, &mut obs);
+    env.reset(&mut rng, &mut obs)?;
     let actions: Vec<u32> = (0..4096).map(|_| rng.random_range(0..env.spec().n_actions() as u32)).collect();
     let started = Instant::now();
     for i in 0..steps {
         let step = env.step(actions[i as usize % actions.len()], &mut obs)?;
         if step.terminated || step.truncated {
-            env.reset(&mut rng, &mut obs);
+            env.reset(&mut rng, &mut obs)?;
         }
     }
     let seconds = started.elapsed().as_secs_f64();

@@ -231,7 +231,7 @@ impl Worker {
         let who = u64::from(index) + (u64::from(incarnation) << 32);
         let mut environment = stream(run.seed, Purpose::Environment, who);
         let mut obs = vec![0.0; obs_dim];
-        env.reset(&mut environment, &mut obs);
+        env.reset(&mut environment, &mut obs)?;
         check_finite(index, Moment::Steps(0), &obs, 0.0)?;
         let mut explore = stream(run.seed, Purpose::Explore, who);
         let mut guide = Guide::new(plan)?;
@@ -283,7 +283,7 @@ impl Worker {
 
     /// Begins an episode.
     fn reset(&mut self) -> Result<(), ActorError> {
-        self.env.reset(&mut self.environment, &mut self.obs);
+        self.env.reset(&mut self.environment, &mut self.obs)?;
         check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)?;
         if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
             guide.begin(&self.obs, &mut self.explore);
@@ -410,7 +410,7 @@ impl Worker {
         let (mut total_reward, mut length) = (0.0, 0);
         let goal_bonus = self.evaluation_env.spec().goal_bonus;
         let (index, moment) = (self.index, Moment::Evaluation(evaluation));
-        self.evaluation_env.reset(rng, &mut self.evaluation_obs);
+        self.evaluation_env.reset(rng, &mut self.evaluation_obs)?;
         check_finite(index, moment, &self.evaluation_obs, 0.0)?;
         let mut path = Vec::new();
         let mut fits = true;
@@ -461,7 +461,7 @@ impl Worker {
     }
 
     /// Takes over the state in `bytes`, a snapshot of the same actor of the same run: every batch from then on is what
-    /// it would have been.
+    /// it would have been. An environment that does not [repeat](Environment::repeats) begins an episode instead.
     ///
     /// # Errors
     /// Bytes that are damaged or of another actor or environment; the actor is unchanged then.
@@ -479,15 +479,22 @@ impl Worker {
         if !Guide::fits(self.guide.as_ref(), state.guide.as_ref()) {
             return Err(ActorError::Guide { index });
         }
-        self.env.restore(&state.env)?;
+        let repeats = self.env.repeats();
+        if repeats {
+            self.env.restore(&state.env)?;
+            self.obs = state.obs;
+        }
         if let (Some(guide), Some(progress)) = (&mut self.guide, state.guide) {
             guide.restore(progress);
         }
-        self.obs = state.obs;
         self.seq = state.seq;
         self.first = state.first;
         self.explore = state.explore;
         self.environment = state.environment;
+        if !repeats {
+            self.first = true;
+            self.reset()?;
+        }
         Ok(())
     }
 }

@@ -47,9 +47,11 @@ impl Kind for Balance {
             high: vec![settings.width as f32],
             scale: vec![1.0],
             integral: true,
+            categories: Vec::new(),
             velocities: Vec::new(),
             actions: vec!["left".into(), "right".into()],
             best_return: None,
+            threshold: None,
             goal_bonus: 0.0,
             defines_success: false,
         };
@@ -62,10 +64,11 @@ impl Environment for Balance {
         &self.spec
     }
 
-    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) {
+    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
         self.at = rng.random_range(0..2) - 1;
         self.steps = 0;
         obs[0] = self.at as f32;
+        Ok(())
     }
 
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {

@@ -36,9 +36,11 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
         high: vec![4.0; 2],
         scale: vec![1.0; 2],
         integral: true,
+        categories: Vec::new(),
         velocities: Vec::new(),
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
+        threshold: None,
         goal_bonus: 0.0,
         defines_success: true,
     };

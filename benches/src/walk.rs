@@ -57,9 +57,11 @@ impl World {
             high: vec![self.side as f32; self.dim],
             scale: vec![1.0; self.dim],
             integral: self.jitter == 0.0,
+            categories: Vec::new(),
             velocities: Vec::new(),
             actions: (0..2 * self.dim).map(|action| action.to_string()).collect(),
             best_return: None,
+            threshold: None,
             goal_bonus: 0.0,
             defines_success: true,
         }

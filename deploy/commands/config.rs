@@ -2,8 +2,8 @@
 
 use crate::cli::{Config, Source};
 use crate::prepare;
+use crate::status::ExitCode;
 use anyhow::{Result, bail};
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_proto::config::{self, Environments, Field};
 use trestle_proto::names;

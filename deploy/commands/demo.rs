@@ -7,9 +7,9 @@ mod record;
 
 use crate::cli::{Demo, Plan, Source};
 use crate::prepare::{self, Resolved};
+use crate::status::ExitCode;
 use anyhow::{Result, ensure};
 use std::path::Path;
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_mentor_server::demo_file;

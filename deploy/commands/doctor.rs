@@ -2,10 +2,10 @@
 
 use crate::cli::Doctor;
 use crate::prepare::{findings, resolve, weaknesses};
+use crate::status::ExitCode;
 use anyhow::{Result, ensure};
 use std::fs;
 use std::path::Path;
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_link::iceoryx::{Domain, Liveness};
 use trestle_proto::config;

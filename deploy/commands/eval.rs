@@ -4,11 +4,12 @@ use super::picture;
 use crate::cli::{Eval, Which};
 use crate::output::say;
 use crate::prepare;
+use crate::program;
+use crate::status::ExitCode;
 use crate::stored::read_plan;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
@@ -48,6 +49,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     }
     let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
     let mut plan = read_plan(&dir)?;
+    program::hand_over(&plan.config.env)?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
     // The map and the network are made; of what is left only random streams go by the seed.
@@ -99,14 +101,14 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
 }
 
 /// The weights that are asked for.
-struct Chosen {
-    tick: u64,
+pub(super) struct Chosen {
+    pub(super) tick: u64,
     /// Where they are.
-    path: PathBuf,
-    weights: Vec<f32>,
+    pub(super) path: PathBuf,
+    pub(super) weights: Vec<f32>,
 }
 
-fn choose(dir: &RunDir, which: Which, layout: &Layout) -> Result<Chosen> {
+pub(super) fn choose(dir: &RunDir, which: Which, layout: &Layout) -> Result<Chosen> {
     let root = dir.root();
     let (tick, path) = match which {
         Which::Best => {

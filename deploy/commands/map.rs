@@ -2,9 +2,9 @@
 
 use super::demo::free;
 use crate::cli::{Map, MapImport};
+use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use std::io::{Read, Write};
-use std::process::ExitCode;
 use trestle_actor::env::grid::foreign::{Choices, of_numbers, of_text};
 use trestle_actor::env::grid::{ActionSet, REGULAR, mentor_path};
 use trestle_mentor_server::import;

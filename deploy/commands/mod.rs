@@ -4,6 +4,7 @@ mod config;
 mod demo;
 mod doctor;
 mod eval;
+mod export;
 mod map;
 mod picture;
 mod report;
@@ -14,16 +15,17 @@ mod train;
 mod watch;
 
 use crate::cli::{Cli, Command};
+use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use nix::sys::stat::{Mode, umask};
 use signal_hook::consts::{SIGPIPE, SIGXFSZ};
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// Carries out what was typed.
 pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
     if let Command::Eval(_)
+    | Command::Export(_)
     | Command::Report(_)
     | Command::Demo(_)
     | Command::Map(_)
@@ -54,6 +56,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Report(args) => report::run(&args),
         Command::Watch(args) => watch::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Map(args) => map::run(&args),
         Command::Config(args) => config::run(&args),

@@ -1,8 +1,8 @@
 //! `trestle report`
 
 use crate::cli::Report as Args;
+use crate::status::ExitCode;
 use anyhow::{Context, Result};
-use std::process::ExitCode;
 use trestle_actor::env::{Ground, registry};
 use trestle_actor::worker::Worker;
 use trestle_algorithm::agent::Agent;

@@ -3,8 +3,8 @@
 use super::train;
 use crate::cli::Resume;
 use crate::prepare::{self, Existing};
+use crate::status::ExitCode;
 use anyhow::{Context, Result};
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_link::logging;
 use trestle_proto::config;

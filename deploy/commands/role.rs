@@ -3,18 +3,20 @@
 
 use crate::cli::{ActorRole, Role};
 use crate::output::say;
-use crate::status::{LOST_PEER, ORPHANED, TOLD};
+use crate::program;
+use crate::status::{ExitCode, LOST_PEER, ORPHANED, TOLD};
 use crate::supervise::asking;
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use rustix::stdio::dup2_stdin;
 use signal_hook::consts::{SIGINT, SIGTERM};
+use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write, stdin, stdout};
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::panic::{PanicHookInfo, set_hook, take_hook};
-use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -58,7 +60,8 @@ impl Start {
             for signal in asking() {
                 signal_hook::flag::register(signal, asked.clone()).context("cannot handle signals")?;
             }
-            let watch = move || leave_with_supervisor(&domain, &asked, &stop, log.as_ref());
+            let line = take_stdin().context("cannot take standard input")?;
+            let watch = move || leave_with_supervisor(line, &domain, &asked, &stop, log.as_ref());
             thread::Builder::new().name("watch".into()).spawn(watch)?;
         } else {
             for signal in [SIGTERM, SIGINT] {
@@ -97,23 +100,41 @@ fn last_words(panic: &PanicHookInfo<'_>) {
 /// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
 ///
 /// It also sees to it that this process's log stays within its limit.
-fn leave_with_supervisor(domain: &Domain, asked: &AtomicBool, stop: &AtomicBool, log: Option<&OwnLog>) {
-    if let Err(error) = beat_until_closed(asked, stop, log) {
+fn leave_with_supervisor(
+    line: OwnedFd,
+    domain: &Domain,
+    asked: &AtomicBool,
+    stop: &AtomicBool,
+    log: Option<&OwnLog>,
+) {
+    if let Err(error) = beat_until_closed(line, asked, stop, log) {
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
-    // Also if its file has been replaced.
-    let error = Command::new("/proc/self/exe").arg("orphaned").arg(domain.run().to_string()).exec();
+    let error = program::again().arg("orphaned").arg(domain.run().to_string()).exec();
     tracing::error!("cannot begin anew: {error}");
     std::process::exit(ORPHANED.into());
 }
 
-fn beat_until_closed(asked: &AtomicBool, stop: &AtomicBool, log: Option<&OwnLog>) -> io::Result<()> {
-    let mut line = UnixStream::from(stdin().as_fd().try_clone_to_owned()?);
+/// Standard input, which is empty from now on: an environment, or what it starts, must not read the supervisor's orders.
+fn take_stdin() -> io::Result<OwnedFd> {
+    let line = stdin().as_fd().try_clone_to_owned()?;
+    dup2_stdin(File::open("/dev/null")?)?;
+    Ok(line)
+}
+
+fn beat_until_closed(
+    line: OwnedFd,
+    asked: &AtomicBool,
+    stop: &AtomicBool,
+    log: Option<&OwnLog>,
+) -> io::Result<()> {
+    let mut line = UnixStream::from(line);
     // A pipe has no timeouts: then nobody wants signs of life.
     if line.set_read_timeout(Some(BEAT)).and_then(|()| line.set_write_timeout(Some(BEAT))).is_err() {
         let mut byte = [0];
-        while stdin().read(&mut byte)? > 0 {}
+        let mut line = File::from(OwnedFd::from(line));
+        while line.read(&mut byte)? > 0 {}
         return Ok(());
     }
     let (mut byte, mut seen) = ([0], 0);

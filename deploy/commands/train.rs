@@ -3,13 +3,13 @@
 use super::watch;
 use crate::cli::{Beside, Train};
 use crate::prepare::{self, Existing};
+use crate::program;
 use crate::reference;
-use crate::status::INTERRUPTED;
+use crate::status::{ExitCode, INTERRUPTED};
 use crate::supervise::{self, Ended, HeldSignals};
 use anyhow::{Result, ensure};
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_link::logging;
@@ -88,6 +88,9 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
         crate::output::say(&format!("note: {} is missing: a new one is begun", metrics.display()));
     }
     let mode = config.run.mode;
+    if mode == config::Mode::Reference {
+        program::hand_over(&config.env)?;
+    }
     let resolved = match existing {
         Existing::Resume => prepare::resolve_run(root, &config)?,
         Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
@@ -138,7 +141,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
 
 /// `runs/<config>-<algo>-seed<N>`
 fn default_out(name: &str, config: &Config) -> PathBuf {
-    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
+    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy().replace(':', "-");
     Path::new(RUNS).join(format!("{stem}-{}-seed{}", config.arm(), config.run.seed))
 }
 

@@ -2,10 +2,10 @@
 
 use crate::cli::{Beside, Watch};
 use crate::output::say;
+use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
-use std::process::ExitCode;
 use trestle_watch::Server;
 
 pub(super) fn run(args: &Watch) -> Result<ExitCode> {

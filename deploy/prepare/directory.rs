@@ -9,6 +9,7 @@ use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
 use super::states::{clear_unborn, discard, is_unborn, move_aside, remove_temporaries};
 use crate::build_info::BuildInfo;
+use crate::program;
 use anyhow::{Context, Result, bail, ensure};
 use rustix::rand::{GetRandomFlags, getrandom};
 use std::cell::Cell;
@@ -319,7 +320,7 @@ impl Prepared {
         let dir = &self.dir;
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
         save(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
-        let command: Vec<String> = std::env::args_os().map(|arg| quoted(&arg.to_string_lossy())).collect();
+        let command: Vec<String> = program::args().iter().map(|arg| quoted(&arg.to_string_lossy())).collect();
         let former = if self.fresh { String::new() } else { former_commands(dir) };
         save(&dir.command(), format!("{former}{}\n", command.join(" ")).as_bytes())?;
         if let Some(map) = map_file(&resolved.config.env)? {

@@ -145,6 +145,7 @@ pub(super) fn copy_of(dir: &RunDir, demos: &Demos, name: &str) -> PathBuf {
 
 /// A configuration with its map meets the environment and the demonstrations.
 fn meet(mut config: Config) -> Result<Resolved> {
+    registry().ready(&config.env)?;
     let env = registry().build(&config.env)?;
     let spec = env.spec().clone();
     spec.validate()?;
@@ -220,8 +221,10 @@ impl Resolved {
     /// What is likely to be a mistake, though it could be run.
     pub(crate) fn warnings(&self) -> Vec<String> {
         let mentor = &self.config.mentor;
-        let Some(mentors) = &self.mentors else { return Vec::new() };
-        let mut warnings = mentors.warnings.clone();
+        // A resolved configuration's settings are accepted.
+        let mut warnings = registry().warnings(&self.config.env).unwrap_or_default();
+        let Some(mentors) = &self.mentors else { return warnings };
+        warnings.extend(mentors.warnings.iter().cloned());
         if let (Some(e_th), Some(e_infeas)) = (mentor.e_th.known(), mentor.e_infeas.known()) {
             warnings.extend(mentors.summary.warnings(e_th, e_infeas));
             if !self.spec.integral {

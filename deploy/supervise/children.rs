@@ -8,15 +8,22 @@
 use super::Report;
 use super::line::{Fault, Line};
 use crate::prepare::Prepared;
+use crate::program;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
+use nix::errno::Errno;
+use nix::sys::signal::{Signal, killpg};
+use nix::sys::wait::{Id, WaitPidFlag, waitid};
+use nix::unistd::Pid;
 use std::fmt;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::fd::OwnedFd;
 use std::process::{ExitStatus, Stdio};
+use std::thread;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{self, ChildStdout, Command};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
+use trestle_actor::env::registry;
 use trestle_learner::record::Progress;
 use trestle_link::log_file;
 use trestle_proto::config::Mode;
@@ -24,9 +31,6 @@ use trestle_proto::incarnation::Incarnation;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 
-/// The program itself, also if its file has been replaced since it was started: a run is never carried on by another
-/// version by accident.
-const PROGRAM: &str = "/proc/self/exe";
 /// Lines of a dead child's log that the user is shown.
 const TAIL_LINES: usize = 12;
 /// Bytes of it that are looked at.
@@ -156,8 +160,15 @@ pub(super) fn start(
     let dir = prepared.dir();
     let path = dir.log(&role.to_string());
     let log = log_file::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
-    let mut command = Command::new(PROGRAM);
-    command.arg0(std::env::args_os().next().unwrap_or_default());
+    let foreign = match role {
+        Role::Actor(_) => registry().foreign(&prepared.plan().config.env),
+        Role::Learner | Role::MentorServer => None,
+    };
+    let elsewhere = foreign.as_ref().and_then(|foreign| foreign.program.as_deref());
+    let mut command = Command::from(elsewhere.map_or_else(program::again, program::command));
+    if let Some(foreign) = &foreign {
+        command.envs(foreign.variables.iter().copied());
+    }
     match role {
         Role::Learner => command.arg("learner"),
         Role::MentorServer => command.arg("mentor-server"),
@@ -173,9 +184,14 @@ pub(super) fn start(
     command.env("RAYON_NUM_THREADS", "1");
     let (line, theirs) = Line::new().context("cannot make a socket")?;
     command.stdin(Stdio::from(OwnedFd::from(theirs)));
-    command.stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
     let learner = role == Role::Learner;
-    command.stdout(if learner { Stdio::piped() } else { Stdio::null() });
+    command.stdout(match (learner, &foreign) {
+        (true, _) => Stdio::piped(),
+        // What an environment prints is for its author to read.
+        (false, Some(_)) => Stdio::from(log.try_clone().context("cannot open a log twice")?),
+        (false, None) => Stdio::null(),
+    });
+    command.stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
     // Only the learner writes into the run's directory beside the supervisor.
     let fence = if learner { prepared.fence().inheritable()? } else { None };
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
@@ -187,7 +203,8 @@ pub(super) fn start(
     let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
-        let status = wait(&mut process, received).await;
+        let group = foreign.and_then(|_| process.id()).map(end_of_group);
+        let status = wait(&mut process, received, group).await;
         // All of its progress comes before its end.
         if let Some(forwarding) = forwarding {
             let _ = forwarding.await;
@@ -200,16 +217,36 @@ pub(super) fn start(
 
 /// Waits for `process`, and kills it when that is ordered: never after it has been waited for, when its id could be
 /// another's.
+///
+/// With a `group` the process is waited for only after that.
 async fn wait(
     process: &mut process::Child,
     mut end: mpsc::UnboundedReceiver<()>,
+    group: Option<oneshot::Receiver<()>>,
 ) -> std::io::Result<ExitStatus> {
+    let mut foreign = group.is_some();
+    let mut ended = group.unwrap_or_else(|| oneshot::channel().1);
     loop {
         tokio::select! {
-            status = process.wait() => return status,
+            _ = &mut ended, if foreign => foreign = false,
+            status = process.wait(), if !foreign => return status,
             Some(()) = end.recv() => process.start_kill()?,
         }
     }
+}
+
+/// Says when the process `id` has ended, and all that it has started has been ended, too: its group, which nobody else can have
+/// while the process has not been waited for.
+fn end_of_group(id: u32) -> oneshot::Receiver<()> {
+    let (ended, receiver) = oneshot::channel();
+    let group = Pid::from_raw(id.cast_signed());
+    thread::spawn(move || {
+        while let Err(Errno::EINTR) = waitid(Id::Pid(group), WaitPidFlag::WEXITED | WaitPidFlag::WNOWAIT) {}
+        // Nothing may be left of it.
+        let _ = killpg(group, Signal::SIGKILL);
+        let _ = ended.send(());
+    });
+    receiver
 }
 
 /// Passes the learner's progress on until it closes its standard output.

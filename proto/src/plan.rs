@@ -74,7 +74,7 @@ impl RunPlan {
     /// Units of the network's input, hidden layers and output.
     pub fn sizes(&self) -> Vec<usize> {
         let input = match self.config.env.encoding {
-            EncodingKind::Coordinates => self.spec.obs_dim(),
+            EncodingKind::Coordinates => self.mixed_sizes().iter().map(|&size| size.max(1)).sum(),
             EncodingKind::OneHot => self.one_hot_sizes().iter().sum(),
         };
         let hidden = self.config.learner.hidden.iter().copied();
@@ -98,6 +98,14 @@ impl RunPlan {
         self.spec.low.iter().zip(&self.spec.high).map(|(low, high)| (high - low) as usize + 1).collect()
     }
 
+    /// Number of values of each feature that is a category, and 0 for each of the others.
+    pub fn mixed_sizes(&self) -> Vec<usize> {
+        let mut sizes = vec![0; self.spec.obs_dim()];
+        let all = self.one_hot_sizes();
+        self.spec.categories.iter().for_each(|&feature| sizes[feature] = all[feature]);
+        sizes
+    }
+
     /// Environment steps of a tick in lockstep.
     pub fn steps_per_tick(&self) -> u64 {
         u64::from(self.config.run.actors) * u64::from(self.config.run.rollout)
@@ -117,7 +125,7 @@ impl RunPlan {
 
     /// Return from which on an evaluation counts as optimal, if one is known.
     pub fn threshold(&self) -> Option<f64> {
-        self.config.eval.threshold.or(self.spec.best_return)
+        self.config.eval.threshold.or(self.spec.threshold).or(self.spec.best_return)
     }
 
     /// What counts as the success of an episode: what the environment says, or else a return that counts as solved.

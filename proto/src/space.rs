@@ -16,6 +16,9 @@ pub struct EnvSpec {
     pub scale: Vec<f32>,
     /// Whether every feature takes whole numbers only (needed for the one-hot encoding).
     pub integral: bool,
+    /// Features that are numbers of categories, ascending: whole numbers whose differences mean nothing. The network sees each
+    /// as a one-hot vector, whatever the encoding of the others.
+    pub categories: Vec<usize>,
     /// Features that are velocities of others, ascending; empty where an action shows in the next state at once. Where there
     /// are some, `mentor.metric = "auto"` compares changes of states.
     pub velocities: Vec<usize>,
@@ -23,6 +26,8 @@ pub struct EnvSpec {
     pub actions: Vec<String>,
     /// The best return that is possible, where it is known.
     pub best_return: Option<f64>,
+    /// The return that counts as the goal where the configuration has none, if it is not the best one.
+    pub threshold: Option<f64>,
     /// Part of the reward of a step that succeeds which is the learner's alone: returns leave it out.
     pub goal_bonus: f32,
     /// Whether the environment says which episodes succeed. Where it does not, a return threshold may.
@@ -57,6 +62,18 @@ pub enum SpaceError {
         name: String,
         /// What it says.
         velocities: Vec<usize>,
+        /// Features of an observation.
+        dim: usize,
+    },
+    /// A feature whose values are said to be categories.
+    #[error(
+        "environment {name}: categories {categories:?}; accepted: features below {dim} between whole numbers, each once, in ascending order"
+    )]
+    Categories {
+        /// Name of the environment.
+        name: String,
+        /// What it says.
+        categories: Vec<usize>,
         /// Features of an observation.
         dim: usize,
     },
@@ -135,6 +152,11 @@ impl EnvSpec {
         }
         if !(2..=MAX_ACTIONS).contains(&self.n_actions()) {
             return Err(SpaceError::Actions { name: self.name.clone(), n: self.n_actions() });
+        }
+        let whole = |&i: &usize| i < dim && self.low[i].fract() == 0.0 && self.high[i].fract() == 0.0;
+        if !self.categories.is_sorted_by(|a, b| a < b) || !self.categories.iter().all(whole) {
+            let categories = self.categories.clone();
+            return Err(SpaceError::Categories { name: self.name.clone(), categories, dim });
         }
         let ascending = self.velocities.is_sorted_by(|a, b| a < b);
         if !ascending || self.velocities.last().is_some_and(|&last| last >= dim) {

@@ -74,6 +74,15 @@ pub enum Encoding {
         /// Number of categories of each feature; at least 1.
         sizes: Vec<usize>,
     },
+    /// Some features scaled as by `Scale`, the others turned into categories as by `OneHot`; inputs in the order of the features.
+    Mixed {
+        /// Lower bound of each feature; of a category its lowest value.
+        low: Vec<f32>,
+        /// Upper bound of each feature, above its lower bound.
+        high: Vec<f32>,
+        /// Number of categories of each feature; 0 for one that is scaled.
+        sizes: Vec<usize>,
+    },
     /// The observation as it is.
     Identity {
         /// Number of features.
@@ -104,6 +113,15 @@ impl Encoding {
                     }
                 }
             }
+            Encoding::Mixed { low, high, sizes } => {
+                same_length(("low", low.len()), ("high", high.len()))?;
+                same_length(("low", low.len()), ("sizes", sizes.len()))?;
+                for (index, (&low, &high)) in low.iter().zip(high).enumerate() {
+                    if !(low < high && (high - low).is_finite()) {
+                        return Err(EncodingError::Range { index, low, high });
+                    }
+                }
+            }
             Encoding::Identity { .. } => {}
         }
         match self.input_dim() {
@@ -116,7 +134,9 @@ impl Encoding {
     /// Number of features of a raw observation.
     pub fn observation_dim(&self) -> usize {
         match self {
-            Encoding::Scale { low, .. } | Encoding::OneHot { low, .. } => low.len(),
+            Encoding::Scale { low, .. } | Encoding::OneHot { low, .. } | Encoding::Mixed { low, .. } => {
+                low.len()
+            }
             Encoding::Identity { dim } => *dim,
         }
     }
@@ -127,6 +147,9 @@ impl Encoding {
             Encoding::Scale { low, .. } => low.len(),
             // Saturating: sizes that were never validated must not overflow here.
             Encoding::OneHot { sizes, .. } => sizes.iter().fold(0, |sum, &size| sum.saturating_add(size)),
+            Encoding::Mixed { sizes, .. } => {
+                sizes.iter().fold(0, |sum, &size| sum.saturating_add(size.max(1)))
+            }
             Encoding::Identity { dim } => *dim,
         }
     }
@@ -144,17 +167,27 @@ impl Encoding {
         match self {
             Encoding::Scale { low, high } => {
                 for (((out, &value), &low), &high) in out.iter_mut().zip(obs).zip(low).zip(high) {
-                    *out = 2.0 * (value - low) / (high - low) - 1.0;
+                    *out = scaled(value, low, high);
                 }
             }
             Encoding::OneHot { low, sizes } => {
                 out.fill(0.0);
                 let mut start = 0;
                 for ((&value, &low), &size) in obs.iter().zip(low).zip(sizes) {
-                    // A float-to-integer cast saturates and maps NaN to 0.
-                    let category = ((value - low).round() as usize).min(size - 1);
-                    out[start + category] = 1.0;
+                    out[start + category(value, low, size)] = 1.0;
                     start += size;
+                }
+            }
+            Encoding::Mixed { low, high, sizes } => {
+                out.fill(0.0);
+                let mut start = 0;
+                for (((&value, &low), &high), &size) in obs.iter().zip(low).zip(high).zip(sizes) {
+                    if size == 0 {
+                        out[start] = scaled(value, low, high);
+                    } else {
+                        out[start + category(value, low, size)] = 1.0;
+                    }
+                    start += size.max(1);
                 }
             }
             Encoding::Identity { .. } => out.copy_from_slice(obs),
@@ -173,6 +206,17 @@ impl Encoding {
             self.encode(obs, out);
         }
     }
+}
+
+/// `low..=high` onto `-1..=1`.
+fn scaled(value: f32, low: f32, high: f32) -> f32 {
+    2.0 * (value - low) / (high - low) - 1.0
+}
+
+/// Which of `size` categories, 1 or more, `value` is.
+fn category(value: f32, low: f32, size: usize) -> usize {
+    // A float-to-integer cast saturates and maps NaN to 0.
+    ((value - low).round() as usize).min(size - 1)
 }
 
 fn same_length(left: (&'static str, usize), right: (&'static str, usize)) -> Result<(), EncodingError> {
@@ -214,6 +258,15 @@ mod tests {
     }
 
     #[test]
+    fn mixed_features_are_encoded_each_in_its_own_way() {
+        let encoding =
+            Encoding::Mixed { low: vec![-1.0, 3.0, 0.0], high: vec![1.0, 5.0, 8.0], sizes: vec![0, 3, 0] };
+        assert_eq!(encoding.validate(), Ok(()));
+        assert_eq!((encoding.observation_dim(), encoding.input_dim()), (3, 5));
+        assert_eq!(encoded(&encoding, &[0.5, 4.0, 2.0]), [0.5, 0.0, 1.0, 0.0, -0.5]);
+    }
+
+    #[test]
     fn unusable_encodings_are_named() {
         let scale = |low: &[f32], high: &[f32]| Encoding::Scale { low: low.to_vec(), high: high.to_vec() };
         let one_hot =
@@ -244,6 +297,7 @@ mod tests {
             for encoding in [
                 Encoding::Scale { low: vec![0.0, 1.0], high: vec![2.0, 4.0] },
                 Encoding::OneHot { low: vec![0.0, -2.0], sizes: vec![4, 7] },
+                Encoding::Mixed { low: vec![0.0, -2.0], high: vec![2.0, 4.0], sizes: vec![0, 7] },
                 Encoding::Identity { dim: 2 },
             ] {
                 prop_assert_eq!(encoding.validate(), Ok(()));

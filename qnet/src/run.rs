@@ -36,7 +36,8 @@ pub fn network_of(plan: &RunPlan) -> Result<(Layout, Encoding), PlanError> {
     let spec = &plan.spec;
     let (low, high) = (spec.low.clone(), spec.high.clone());
     let encoding = match plan.config.env.encoding {
-        EncodingKind::Coordinates => Encoding::Scale { low, high },
+        EncodingKind::Coordinates if spec.categories.is_empty() => Encoding::Scale { low, high },
+        EncodingKind::Coordinates => Encoding::Mixed { low, high, sizes: plan.mixed_sizes() },
         EncodingKind::OneHot if spec.integral => Encoding::OneHot { low, sizes: plan.one_hot_sizes() },
         EncodingKind::OneHot => return Err(PlanError::OneHot { env: spec.name.clone() }),
     };

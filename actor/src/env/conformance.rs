@@ -88,7 +88,7 @@ fn pictures_and_plans_agree_with_the_spaces() {
         let dim = built.spec().obs_dim();
         let mut obs = vec![0.0; dim];
         let mut built = built;
-        built.reset(&mut stream(1, Purpose::Environment, 0), &mut obs);
+        built.reset(&mut stream(1, Purpose::Environment, 0), &mut obs).unwrap();
         let path: Vec<f32> = obs.clone();
         if let Some(ground) = registry().ground(&env).unwrap() {
             let [columns, rows] = ground.size();
@@ -118,7 +118,7 @@ fn walk(env: &mut dyn Environment, rng: &mut Stream, obs: &mut [f32]) -> (u32, S
     let step = env.step(action, obs).unwrap();
     let reached = obs.to_vec();
     if step.terminated || step.truncated {
-        env.reset(rng, obs);
+        env.reset(rng, obs).unwrap();
     }
     (action, step, reached)
 }
@@ -127,7 +127,7 @@ fn started(config: &config::Env, seed: u64) -> (Box<dyn Environment>, Stream, Ve
     let mut env = registry().build(config).unwrap();
     let mut rng = stream(seed, Purpose::Environment, 0);
     let mut obs = vec![f32::NAN; env.spec().obs_dim()];
-    env.reset(&mut rng, &mut obs);
+    env.reset(&mut rng, &mut obs).unwrap();
     (env, rng, obs)
 }
 
@@ -202,7 +202,7 @@ fn steps_without_an_episode_or_an_action_are_refused() {
         let mut obs = vec![0.5; env.spec().obs_dim()];
         assert!(matches!(env.step(0, &mut obs), Err(EnvError::Ended)));
         let mut rng = stream(7, Purpose::Environment, 0);
-        env.reset(&mut rng, &mut obs);
+        env.reset(&mut rng, &mut obs).unwrap();
         let (before, seen) = (env.snapshot().unwrap(), obs.clone());
         let refused = env.step(n, &mut obs);
         assert!(
@@ -220,7 +220,7 @@ fn steps_without_an_episode_or_an_action_are_refused() {
         assert_eq!(obs, seen);
         // An ended episode is saved as such.
         let bytes = env.snapshot().unwrap();
-        env.reset(&mut rng, &mut obs);
+        env.reset(&mut rng, &mut obs).unwrap();
         env.restore(&bytes).unwrap();
         assert!(matches!(env.step(0, &mut obs), Err(EnvError::Ended)));
     }

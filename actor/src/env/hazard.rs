@@ -52,8 +52,8 @@ impl Environment for Hazardous {
         self.env.spec()
     }
 
-    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) {
-        self.env.reset(rng, obs);
+    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
+        self.env.reset(rng, obs)
     }
 
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {
@@ -91,8 +91,12 @@ impl Environment for Hazardous {
         self.env.restore(bytes)
     }
 
-    fn features(&self) -> &'static [&'static str] {
+    fn features(&self) -> Vec<&str> {
         self.env.features()
+    }
+
+    fn repeats(&self) -> bool {
+        self.env.repeats()
     }
 
     fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {

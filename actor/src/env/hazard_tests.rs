@@ -27,12 +27,12 @@ fn hazards(kind: HazardKind, after: u64, during: HazardScope) -> Hazards {
 /// What a walk of `steps` steps sees, resets included, and the snapshots on the way.
 fn walk(env: &mut dyn Environment, steps: u64, rng: &mut Stream) -> Vec<(Step, Vec<f32>, Vec<u8>)> {
     let mut obs = vec![0.0; env.spec().obs_dim()];
-    env.reset(rng, &mut obs);
+    env.reset(rng, &mut obs).unwrap();
     let mut seen = Vec::new();
     for n in 0..steps {
         let step = env.step((n % 3) as u32, &mut obs).unwrap();
         if step.terminated || step.truncated {
-            env.reset(rng, &mut obs);
+            env.reset(rng, &mut obs).unwrap();
         }
         seen.push((step, obs.clone(), env.snapshot().unwrap()));
     }
@@ -145,7 +145,7 @@ fn training_and_evaluation_are_counted_together_or_apart() {
         let mut obs = vec![0.0; 2];
         uses.iter().all(|(used, steps)| {
             let env = if *used == HazardScope::Training { &mut training } else { &mut evaluation };
-            env.reset(&mut rng, &mut obs);
+            env.reset(&mut rng, &mut obs).unwrap();
             (0..*steps).all(|_| env.step(0, &mut obs).is_ok())
         })
     };
@@ -180,7 +180,7 @@ fn refused_steps_are_not_counted() {
     for _ in 0..5 {
         assert!(matches!(env.step(0, &mut obs), Err(EnvError::Ended)));
     }
-    env.reset(&mut stream(1, Purpose::Environment, 0), &mut obs);
+    env.reset(&mut stream(1, Purpose::Environment, 0), &mut obs).unwrap();
     for _ in 0..5 {
         assert!(matches!(env.step(99, &mut obs), Err(EnvError::Action { action: 99, .. })));
     }

@@ -47,6 +47,29 @@ pub trait Kind: Environment + Sized + 'static {
         &[]
     }
 
+    /// The configuration that `text` stands for, where it is none of a preset or a file, such as `gym:CartPole-v1`.
+    fn shorthand(text: &str) -> Option<Table> {
+        None
+    }
+
+    /// How the processes are started that step it, where it is other people's code.
+    fn foreign(settings: &Self::Settings) -> Option<Foreign> {
+        None
+    }
+
+    /// Checks, before a run starts or goes on, that what steps it is there and fits this program.
+    ///
+    /// # Errors
+    /// It is not, or does not.
+    fn ready(settings: &Self::Settings) -> Result<(), EnvError> {
+        Ok(())
+    }
+
+    /// What of the resolved `settings` is likely to be a mistake, though it can be run.
+    fn warnings(settings: &Self::Settings) -> Vec<String> {
+        Vec::new()
+    }
+
     /// States of a planned mentor that acts with the action set `actions`, from a start to the goal, `[obs_dim]` features
     /// each; the last one is terminal. None where the environment has no planner.
     ///
@@ -95,6 +118,16 @@ pub trait Kind: Environment + Sized + 'static {
     fn diagnose() -> Vec<Finding> {
         Vec::new()
     }
+}
+
+/// How a process is started that runs other people's code. It gets no standard input, what it prints goes to its log, and
+/// whatever it has started ends with it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Foreign {
+    /// The command of the Trestle that can step the environment, where this program cannot; a subcommand is added.
+    pub program: Option<Vec<String>>,
+    /// Variables of its environment.
+    pub variables: Vec<(&'static str, &'static str)>,
 }
 
 /// A line of `trestle doctor`.

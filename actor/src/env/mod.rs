@@ -11,10 +11,12 @@
 mod error;
 pub mod grid;
 mod ground;
+pub mod gym;
 pub mod hazard;
 mod kind;
 pub mod maze;
 pub mod point_maze;
+mod program;
 mod registry;
 
 #[cfg(test)]
@@ -22,7 +24,8 @@ mod conformance;
 
 pub use error::EnvError;
 pub use ground::Ground;
-pub use kind::{Finding, Kind};
+pub use kind::{Finding, Foreign, Kind};
+pub use program::{Identity, again, build, identify};
 pub use registry::{Registry, install, registry};
 
 use trestle_proto::rng::Stream;
@@ -49,7 +52,10 @@ pub trait Environment: Send {
 
     /// Begins an episode and writes its first observation into `obs` (`[obs_dim]`). All randomness of the reset
     /// comes from `rng`.
-    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]);
+    ///
+    /// # Errors
+    /// What only the environment itself knows.
+    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError>;
 
     /// Takes `action` and writes the observation of the state reached into `obs` (`[obs_dim]`), also where the
     /// episode ends.
@@ -73,8 +79,14 @@ pub trait Environment: Send {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError>;
 
     /// What the features of an observation are called, in their order; none where they have no names.
-    fn features(&self) -> &'static [&'static str] {
-        &[]
+    fn features(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    /// Whether a snapshot holds the whole state. An environment that cannot promise it begins a new episode where another
+    /// would be restored, and its runs do not repeat.
+    fn repeats(&self) -> bool {
+        true
     }
 
     /// Whether the environment can ever be in the state that is observed as `state` (`[obs_dim]`): what a demonstration of
@@ -128,6 +140,9 @@ fn within(spec: &EnvSpec, state: &[f32]) -> Result<(), Impossible> {
 impl Registry {
     /// The environments that come with Trestle: a line each.
     pub fn builtin() -> Self {
-        Self::default().with::<maze::Maze>("maze").with::<point_maze::PointMaze>("point-maze")
+        Self::default()
+            .with::<maze::Maze>("maze")
+            .with::<point_maze::PointMaze>("point-maze")
+            .with::<gym::Gym>("gym")
     }
 }

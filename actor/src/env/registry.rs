@@ -1,7 +1,7 @@
 //! The environments of a program by name.
 
 use super::grid::{ActionSet, Map};
-use super::kind::{Finding, Kind};
+use super::kind::{Finding, Foreign, Kind};
 use super::{EnvError, Environment, Ground};
 use std::marker::PhantomData;
 use std::sync::OnceLock;
@@ -138,6 +138,27 @@ impl Registry {
         self.of(env)?.engine(env)
     }
 
+    /// How the processes that step it are started, where it is other people's code: see [`Kind::foreign`].
+    pub fn foreign(&self, env: &config::Env) -> Option<Foreign> {
+        self.of(env).ok()?.foreign(env)
+    }
+
+    /// Whether what steps it is there: see [`Kind::ready`].
+    ///
+    /// # Errors
+    /// It is not, or is of another build.
+    pub fn ready(&self, env: &config::Env) -> Result<(), EnvError> {
+        self.of(env)?.ready(env)
+    }
+
+    /// What is likely to be a mistake: see [`Kind::warnings`].
+    ///
+    /// # Errors
+    /// Settings that are not accepted.
+    pub fn warnings(&self, env: &config::Env) -> Result<Vec<String>, EnvError> {
+        self.of(env)?.warnings(env)
+    }
+
     /// What all environments say about this machine: see [`Kind::diagnose`].
     pub fn diagnose(&self) -> Vec<Finding> {
         self.entries.iter().flat_map(|entry| entry.kind.diagnose()).collect()
@@ -166,6 +187,10 @@ impl Environments for Registry {
         self.of(&config.env)?.check(config)
     }
 
+    fn shorthand(&self, text: &str) -> Option<Table> {
+        self.entries.iter().find_map(|entry| entry.kind.shorthand(text))
+    }
+
     fn presets(&self) -> Vec<Preset> {
         self.entries.iter().flat_map(|entry| entry.kind.presets()).copied().collect()
     }
@@ -187,6 +212,10 @@ trait AnyKind: Send + Sync {
     fn ground(&self, env: &config::Env) -> Result<Option<Box<dyn Ground>>, EnvError>;
     fn engine(&self, env: &config::Env) -> Result<Option<Table>, EnvError>;
     fn diagnose(&self) -> Vec<Finding>;
+    fn shorthand(&self, text: &str) -> Option<Table>;
+    fn foreign(&self, env: &config::Env) -> Option<Foreign>;
+    fn ready(&self, env: &config::Env) -> Result<(), EnvError>;
+    fn warnings(&self, env: &config::Env) -> Result<Vec<String>, EnvError>;
 }
 
 /// `K` as an [`AnyKind`].
@@ -263,5 +292,21 @@ impl<K: Kind> AnyKind for Typed<K> {
 
     fn diagnose(&self) -> Vec<Finding> {
         K::diagnose()
+    }
+
+    fn shorthand(&self, text: &str) -> Option<Table> {
+        K::shorthand(text)
+    }
+
+    fn foreign(&self, env: &config::Env) -> Option<Foreign> {
+        K::foreign(&typed(&env.own).ok()?)
+    }
+
+    fn ready(&self, env: &config::Env) -> Result<(), EnvError> {
+        K::ready(&typed(&env.own)?)
+    }
+
+    fn warnings(&self, env: &config::Env) -> Result<Vec<String>, EnvError> {
+        Ok(K::warnings(&typed(&env.own)?))
     }
 }

@@ -19,9 +19,11 @@ fn spec() -> EnvSpec {
         high: vec![9.0; 2],
         scale: vec![1.0; 2],
         integral: false,
+        categories: Vec::new(),
         velocities: Vec::new(),
         actions: ["E", "N", "W", "S"].map(String::from).to_vec(),
         best_return: None,
+        threshold: None,
         goal_bonus: 0.0,
         defines_success: true,
     }

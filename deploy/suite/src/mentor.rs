@@ -120,7 +120,7 @@ pub fn demonstration(task: &Wanted<'_>) -> Result<Demonstration, MentorError> {
     registry().resolve(&mut config.env, config.run.seed)?;
     let env = registry().build(&config.env)?;
     let dim = env.spec().obs_dim();
-    let names = match env.features() {
+    let names = match &env.features()[..] {
         [] => (0..dim).map(|i| format!("s{i}")).collect(),
         names => names.iter().map(ToString::to_string).collect(),
     };

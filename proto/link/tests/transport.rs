@@ -38,9 +38,11 @@ fn plan(run: u64) -> RunPlan {
         high: vec![9.0; 2],
         scale: vec![1.0; 2],
         integral: true,
+        categories: Vec::new(),
         velocities: Vec::new(),
         actions: ["a", "b", "c"].map(String::from).to_vec(),
         best_return: None,
+        threshold: None,
         goal_bonus: 0.0,
         defines_success: true,
     };

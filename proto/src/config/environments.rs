@@ -30,6 +30,11 @@ pub trait Environments {
     /// A combination that makes no sense, with what is accepted.
     fn check(&self, config: &Config) -> Result<(), ConfigError>;
 
+    /// The configuration that `text` stands for, where it is none of a preset or a file.
+    fn shorthand(&self, _text: &str) -> Option<Table> {
+        None
+    }
+
     /// The presets that the environments bring.
     fn presets(&self) -> Vec<Preset>;
 }

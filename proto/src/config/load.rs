@@ -25,7 +25,7 @@ impl Preset {
     }
 }
 
-/// The configuration called `name` (a preset, or a TOML file) with `overrides` (`key=value`, dotted keys, the later one wins).
+/// The configuration called `name` (a preset, a TOML file, or an environment's short form) with `overrides` (`key=value`, dotted keys, the later one wins).
 /// Everything is checked but what the configuration names: maps and demonstrations.
 ///
 /// # Errors
@@ -120,20 +120,25 @@ fn from_layers(
 }
 
 /// The presets that a configuration may name.
-struct Presets(Vec<Preset>);
+struct Presets<'a> {
+    all: Vec<Preset>,
+    environments: &'a dyn Environments,
+}
 
-impl Presets {
-    fn of(environments: &dyn Environments) -> Self {
-        Self(environments.presets())
+impl<'a> Presets<'a> {
+    fn of(environments: &'a dyn Environments) -> Self {
+        Self { all: environments.presets(), environments }
     }
 
     fn names(&self) -> Vec<&str> {
-        self.0.iter().map(|preset| preset.name).collect()
+        self.all.iter().map(|preset| preset.name).collect()
     }
 
-    /// The preset called `name`, if there is one.
+    /// The preset called `name`, if there is one, or what `name` is short for.
     fn find(&self, name: &str) -> Option<Result<Table, ConfigError>> {
-        let preset = self.0.iter().find(|preset| preset.name == name)?;
+        let Some(preset) = self.all.iter().find(|preset| preset.name == name) else {
+            return self.environments.shorthand(name).map(Ok);
+        };
         Some(parse(&format!("preset {name}"), preset.text))
     }
 

@@ -130,10 +130,12 @@ fn spec(name: &str, step_limit: u32, map: &Map, set: &ActionSet, optimum: usize)
         high: vec![last(map.columns()), last(map.rows())],
         scale: vec![1.0; 2],
         integral: true,
+        categories: Vec::new(),
         velocities: Vec::new(),
         actions: set.directions.iter().map(|d| d.name().to_string()).collect(),
         // Where every episode is cut off before the goal there is no optimum to reach.
         best_return: (optimum as u64 <= u64::from(step_limit)).then(|| best_return(optimum)),
+        threshold: None,
         goal_bonus: 0.0,
         defines_success: true,
     }
@@ -145,13 +147,14 @@ impl Environment for Maze {
     }
 
     /// Every episode begins at the start; nothing is drawn.
-    fn reset(&mut self, _rng: &mut Stream, obs: &mut [f32]) {
+    fn reset(&mut self, _rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
         self.at = self.map.index(self.map.start());
         self.steps = 0;
         self.running = true;
         self.visited.clear();
         self.visited.insert(self.at);
         self.observe(obs);
+        Ok(())
     }
 
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {
@@ -234,8 +237,8 @@ impl Environment for Maze {
         Ok(())
     }
 
-    fn features(&self) -> &'static [&'static str] {
-        &["column", "row"]
+    fn features(&self) -> Vec<&str> {
+        vec!["column", "row"]
     }
 
     fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {

@@ -41,7 +41,7 @@ fn plan_states((settings, _): &Config, actions: &str) -> Result<Vec<Vec<f32>>, E
 fn play(env: &Config, actions: &[u32]) -> Vec<(Step, [f32; 2])> {
     let mut maze = build(env).unwrap();
     let mut obs = [0.0; 2];
-    maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
+    maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs).unwrap();
     actions.iter().map(|&action| (maze.step(action, &mut obs).unwrap(), obs)).collect()
 }
 
@@ -69,7 +69,7 @@ fn a_new_episode_has_visited_nothing_but_the_start() {
     let mut maze = build(&of_text("S.G\n", "regular", 2)).unwrap();
     let (mut rng, mut obs) = (stream(0, Purpose::Environment, 0), [0.0; 2]);
     for _ in 0..3 {
-        maze.reset(&mut rng, &mut obs);
+        maze.reset(&mut rng, &mut obs).unwrap();
         assert_eq!(obs, [0.0, 0.0]);
         assert_eq!(maze.step(E, &mut obs).unwrap().reward, MOVE_REWARD);
         let last = maze.step(W, &mut obs).unwrap();
@@ -175,7 +175,7 @@ fn snapshots_of_other_mazes_are_refused() {
     let snapshot = |env: &Config, actions: &[u32]| {
         let mut maze = build(env).unwrap();
         let mut obs = [0.0; 2];
-        maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
+        maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs).unwrap();
         for &action in actions {
             maze.step(action, &mut obs).unwrap();
         }
@@ -222,7 +222,7 @@ proptest! {
         let set = env.0.action_set("env.actions", &env.0.actions).unwrap();
         let Ok(mut maze) = build(&env) else { return Ok(()) };
         let mut obs = [0.0; 2];
-        maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
+        maze.reset(&mut stream(0, Purpose::Environment, 0), &mut obs).unwrap();
         let mut path = vec![map.start()];
         for (i, &action) in actions.iter().enumerate() {
             let from = path[path.len() - 1];

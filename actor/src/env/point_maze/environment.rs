@@ -125,9 +125,11 @@ fn spec(settings: &Settings, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
         high: narrow([high[0], high[1], top, top]),
         scale: narrow([stride, stride, change, change]),
         integral: false,
+        categories: Vec::new(),
         velocities: vec![2, 3],
         actions: forces.iter().map(|force| force.name.clone()).collect(),
         best_return: None,
+        threshold: None,
         goal_bonus: settings.goal_reward as f32,
         defines_success: true,
     }
@@ -138,11 +140,12 @@ impl Environment for PointMaze {
         &self.spec
     }
 
-    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) {
+    fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
         self.body = self.first(rng);
         self.steps = 0;
         self.running = true;
         obs.copy_from_slice(&self.body.observation());
+        Ok(())
     }
 
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {
@@ -190,8 +193,8 @@ impl Environment for PointMaze {
         Ok(())
     }
 
-    fn features(&self) -> &'static [&'static str] {
-        &["x", "y", "vx", "vy"]
+    fn features(&self) -> Vec<&str> {
+        vec!["x", "y", "vx", "vy"]
     }
 
     fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {

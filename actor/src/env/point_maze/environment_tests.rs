@@ -27,7 +27,7 @@ fn built(config: &Config) -> Result<PointMaze, EnvError> {
 fn started(env: &Config) -> (PointMaze, [f32; 4]) {
     let mut point = built(env).unwrap();
     let mut obs = [f32::NAN; 4];
-    point.reset(&mut stream(0, Purpose::Environment, 0), &mut obs);
+    point.reset(&mut stream(0, Purpose::Environment, 0), &mut obs).unwrap();
     (point, obs)
 }
 
@@ -108,7 +108,7 @@ fn random_resets_follow_the_layout() {
         let mut seen = std::collections::BTreeSet::new();
         let (mut sum, mut squares) = (0.0, 0.0);
         for _ in 0..2000 {
-            point.reset(&mut rng, &mut [0.0; 4]);
+            point.reset(&mut rng, &mut [0.0; 4]).unwrap();
             let cell = point.geometry.cell(point.body.position);
             seen.insert(cell);
             let place = point.geometry.place(cell.map(|c| c as usize));

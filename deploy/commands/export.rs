@@ -1,0 +1,40 @@
+//! `trestle export`
+
+use super::eval::{Chosen, choose};
+use crate::cli::{Export, Format};
+use crate::export::{Network, file, model};
+use crate::status::ExitCode;
+use crate::stored::read_plan;
+use anyhow::{Context, Result, ensure};
+use std::io::Write;
+use trestle_actor::env::registry;
+use trestle_proto::rundir::{Durable, RunDir, write_atomically};
+
+pub(super) fn run(args: &Export) -> Result<ExitCode> {
+    ensure!(
+        args.overwrite || !args.out.exists(),
+        "{} exists; accepted: another file, or --overwrite",
+        args.out.display()
+    );
+    let dir = RunDir::new(&args.run);
+    let plan = read_plan(&dir)?;
+    let (layout, encoding) = trestle_qnet::network_of(&plan)?;
+    let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
+    let env = registry().build(&plan.config.env)?;
+    let features = env.features().into_iter().map(String::from).collect();
+    let network = Network::new(&plan, tick, features, &layout, encoding, &weights);
+    let bytes = match args.format {
+        Format::Onnx => model(&network),
+        Format::Safetensors => file(&network)?,
+    };
+    write_atomically(&args.out, Durable::Later, |file| file.write_all(&bytes))
+        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    outln!(
+        "{}: {} features to the values of {} actions, checkpoint {}",
+        args.out.display(),
+        network.low.len(),
+        network.actions.len(),
+        path.display()
+    );
+    Ok(ExitCode::SUCCESS)
+}

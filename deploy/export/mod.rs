@@ -1,0 +1,95 @@
+//! A trained network for other programs: its input's encoding and its layers, as tensors with names.
+
+mod onnx;
+mod protobuf;
+mod tensors;
+
+pub(crate) use onnx::model;
+pub(crate) use tensors::file;
+
+use trestle_proto::plan::RunPlan;
+use trestle_qnet::{Encoding, Layer, Layout};
+
+/// A network as it is exported.
+pub(crate) struct Network {
+    /// Name of the environment.
+    pub(crate) env: String,
+    /// The checkpoint's tick.
+    pub(crate) tick: u64,
+    /// Names of the features of an observation; none where they have no names.
+    pub(crate) features: Vec<String>,
+    /// Names of the actions, in the order of the values.
+    pub(crate) actions: Vec<String>,
+    /// Lower and upper bound of each feature.
+    pub(crate) low: Vec<f32>,
+    pub(crate) high: Vec<f32>,
+    /// Number of categories of each feature; 0 for one that is scaled.
+    pub(crate) categories: Vec<usize>,
+    pub(crate) layers: Vec<Dense>,
+}
+
+/// A layer: `y = x W + b`, and a ReLU behind all but the last.
+pub(crate) struct Dense {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    /// `[inputs][outputs]`, row-major.
+    pub(crate) weights: Vec<f32>,
+    /// `[outputs]`
+    pub(crate) bias: Vec<f32>,
+}
+
+impl Network {
+    /// The network of `plan` with the flat parameters `params`.
+    pub(crate) fn new(
+        plan: &RunPlan,
+        tick: u64,
+        features: Vec<String>,
+        layout: &Layout,
+        encoding: Encoding,
+        params: &[f32],
+    ) -> Self {
+        let (low, high, categories) = match encoding {
+            Encoding::Scale { low, high } => {
+                let none = vec![0; low.len()];
+                (low, high, none)
+            }
+            Encoding::OneHot { low, sizes } => {
+                let high = low.iter().zip(&sizes).map(|(low, &size)| low + (size - 1) as f32).collect();
+                (low, high, sizes)
+            }
+            Encoding::Mixed { low, high, sizes } => (low, high, sizes),
+            // As it is: from -1..=1 onto itself.
+            Encoding::Identity { dim } => (vec![-1.0; dim], vec![1.0; dim], vec![0; dim]),
+        };
+        let dense = |layer: &Layer| Dense {
+            inputs: layer.inputs,
+            outputs: layer.outputs,
+            weights: params[layer.weights()].to_vec(),
+            bias: params[layer.bias()].to_vec(),
+        };
+        Self {
+            env: plan.spec.name.clone(),
+            tick,
+            features,
+            actions: plan.spec.actions.clone(),
+            low,
+            high,
+            categories,
+            layers: layout.layers().iter().map(dense).collect(),
+        }
+    }
+
+    /// What the file says of the network, beside the tensors.
+    fn metadata(&self) -> Vec<(String, String)> {
+        let list = |names: &[String]| serde_json::Value::from(names.to_vec()).to_string();
+        [
+            ("program", format!("trestle {}", env!("CARGO_PKG_VERSION"))),
+            ("environment", self.env.clone()),
+            ("checkpoint", self.tick.to_string()),
+            ("features", list(&self.features)),
+            ("actions", list(&self.actions)),
+        ]
+        .map(|(key, value)| (key.to_string(), value))
+        .to_vec()
+    }
+}
