@@ -89,7 +89,7 @@ impl MentorPath {
     }
 
     /// Fills `hits` with the mentor states within the radius of `place`, in ascending order.
-    pub(super) fn near(&self, place: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
+    pub fn near(&self, place: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         self.index.states(place, stack, hits);
     }
 }

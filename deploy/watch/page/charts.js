@@ -10,7 +10,7 @@ export const AXES = [["episode", "episodes"], ["env_steps", "steps"], ["wall_s",
 export const axisLabel = { episode: "episodes", env_steps: "environment steps", wall_s: "minutes of training" };
 export const onAxis = (axis, xs) => (axis === "wall_s" ? (xs ?? []).map((x) => x / 60) : xs ?? []);
 
-const short = (x) => {
+export const short = (x) => {
   const size = Math.abs(x);
   if (size >= 1e6) return `${Number((x / 1e6).toPrecision(4))} M`;
   if (size >= 1e4) return `${Number((x / 1e3).toPrecision(4))} k`;
@@ -72,7 +72,7 @@ export class Chart {
       const stroke = color(line.color);
       series.push({
         label: line.label, stroke, width: line.width ?? 2, dash: line.dash, spanGaps: true,
-        points: { show: !!line.points || line.x.length < 3, size: 5, fill: stroke },
+        points: { show: !line.constant && (!!line.points || line.x.length < 3), size: 5, fill: stroke },
       });
       if (line.low) {
         const hidden = { stroke: "transparent", width: 0, spanGaps: true, points: { show: false } };
@@ -89,7 +89,7 @@ export class Chart {
       scales: { x: { time: false }, y: { distr: log ? 3 : 1, range: range ?? undefined } },
       axes: [
         { ...axis, label: this.xLabel || null, size: 28, values: (_, ticks) => ticks.map(short), space: 70 },
-        { ...axis, label: y || null, size: 54, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : format(tick))) },
+        { ...axis, label: y || null, size: 54, ...(log ? { grid: { show: false } } : {}), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : format(tick))) },
       ],
       hooks: { setCursor: [(plot) => this.tell(plot.cursor.idx)] },
     }, this.data, this.box);

@@ -75,7 +75,7 @@ export class FolderView {
 
   update(state) {
     this.state = state;
-    const name = this.below.split("/").at(-1) || state.path.split("/").at(-1) || "Runs";
+    const name = this.below.split("/").at(-1) || state.path.split("/").filter(Boolean).at(-1) || "Runs";
     say(this.title, name);
     const all = Math.max(state.runs, state.planned ?? 0);
     const of = (key) => state.counts[key] ?? 0;

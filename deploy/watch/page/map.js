@@ -2,7 +2,7 @@
 // agent goes, and a slider back through the run. It is drawn on the map, over two features of a state, or along the mentor's time.
 
 import { Chart } from "./charts.js";
-import { address, check, choice, color, count, duration, h, number, say, show } from "./dom.js";
+import { address, check, choice, color, count, duration, h, number, percent, say, show } from "./dom.js";
 
 const KINDS = [
   ["f", "feasible", "One of the agent's own actions does the same"],
@@ -10,6 +10,8 @@ const KINDS = [
   ["g", "gated", "No action does and no bridge is known: its loss is not used"],
   ["u", "unseen", "The agent has not been near"],
 ];
+// Where the mentor's path is only led along, as with learned bridges.
+const LED = [["r", "reached", "The agent has been near"], KINDS[3]];
 // How an action's name points, columns to the right and rows downwards.
 const WAYS = {
   n: [0, -1], ne: [1, -1], e: [1, 0], se: [1, 1], s: [0, 1], sw: [-1, 1], w: [-1, 0], nw: [-1, -1],
@@ -80,17 +82,16 @@ export class BridgeMap {
     this.stepText = h("p", { class: "soft small" });
     this.stepFacts = h("dl", {});
     this.stepNow = h("b", {});
-    this.history = new Chart({ label: "e_KL of the mentor step over the run", height: 150, log: true, format: (x) => (x > 0 ? x.toPrecision(2) : "0") });
     this.step = h("section", { class: "step", "aria-label": "Mentor step" },
       h("div", { class: "row" }, h("h3", {}, "Mentor step ", this.stepNow),
         h("span", {}, h("button", { type: "button", "aria-label": "Step before", onclick: () => this.pick(this.picked - 1) }, "←"), " ",
           h("button", { type: "button", "aria-label": "Step after", onclick: () => this.pick(this.picked + 1) }, "→"))),
-      this.stepFacts, this.history.element);
+      this.pair = h("div", { class: "pair" }, this.stepFacts));
     this.hint = h("p", { class: "soft small" }, "Click on a step of the mentor's path to see what is known of it.");
     this.none = h("p", { class: "empty" }, "The map comes with the first moment of the run.");
     this.body = h("div", { class: "map hidden" },
-      h("div", { class: "stack" }, this.stage, h("div", { class: "time" }, this.slider, this.live, this.when)),
-      h("div", { class: "side" }, this.legend, this.layers, this.scale, this.hint, this.step));
+      h("div", { class: "stack" }, this.stage, h("div", { class: "time" }, this.slider, this.live, this.when), this.step),
+      h("div", { class: "side" }, this.legend, this.layers, this.scale, this.hint));
     this.element = h("section", { class: "card", "aria-labelledby": "map-title" },
       h("header", {}, this.title = h("h2", { id: "map-title" }, "Bridge map"), this.views), this.none, this.body);
     this.stage.addEventListener("click", (event) => this.pickAt(event));
@@ -151,10 +152,13 @@ export class BridgeMap {
     this.ways = array(this.head.actions).map(way);
     this.cells = map ? this.squares(map) : null;
     if (!first) return;
+    this.history = mentor.led ? new Chart({ label: "Probability of the likeliest action over the run", height: 130, range: () => [0, 1], format: percent })
+      : new Chart({ label: "e_KL of the mentor step over the run", height: 130, log: true, format: (x) => (x > 0 ? x.toPrecision(2) : "0") });
+    this.pair.append(this.history.element);
     const views = [];
     if (map) views.push(["map", "Map"]);
     else if (this.dims > 1) views.push(["features", "Features"]);
-    if (this.from.length) views.push(["time", "Mentor's time line"]);
+    if (this.from.length && !mentor.led) views.push(["time", "Mentor's time line"]);
     this.view = views[0]?.[0];
     const controls = [];
     if (views.length > 1) controls.push(choice("View", views, this.view, (view) => { this.view = view; this.draw(); this.arrange(); }));
@@ -165,14 +169,15 @@ export class BridgeMap {
       controls.push(h("span", { class: "group" }, ...this.selects));
     }
     this.views.replaceChildren(...controls);
-    this.legend.replaceChildren(...KINDS.map(([kind, name, about]) => {
+    this.kinds = mentor.led ? LED : KINDS;
+    this.legend.replaceChildren(...this.kinds.map(([kind, name, about]) => {
       const total = h("b", {});
       this[`n${kind}`] = total;
       return h("li", { title: about }, sample(kind), h("span", {}, name), total);
     }));
     show(this.legend, this.from.length > 0);
     show(this.hint, this.from.length > 0);
-    say(this.title, this.from.length ? "Bridge map" : "Map");
+    say(this.title, !this.from.length ? "Map" : mentor.led ? "The mentor's path" : "Bridge map");
     this.arrange();
   }
 
@@ -180,7 +185,7 @@ export class BridgeMap {
     const onMap = this.view === "map";
     show(this.layers.firstChild, onMap && this.head.squares);
     show(this.layers.children[1], onMap && this.head.squares);
-    show(this.layers.children[2], this.from.length > 0);
+    show(this.layers.children[2], this.from.length > 0 && !this.head.mentor.led);
     show(this.layers.children[3], this.view !== "time");
     if (this.selects) this.selects.forEach((select) => show(select, this.view === "features"));
   }
@@ -244,15 +249,15 @@ export class BridgeMap {
 
   kind(step) {
     const kind = String(this.now.kind ?? "")[step];
-    return "fbgu".includes(kind ?? "?") ? kind : "u";
+    return "fbgur".includes(kind ?? "?") ? kind : "u";
   }
 
   draw() {
     if (!this.head || !this.moments.length) return;
     const now = this.now;
-    const totals = { f: 0, b: 0, g: 0, u: 0 };
+    const totals = { f: 0, b: 0, g: 0, u: 0, r: 0 };
     this.from.forEach((_, step) => { totals[this.kind(step)] += 1; });
-    for (const [kind] of KINDS) if (this[`n${kind}`]) say(this[`n${kind}`], count(totals[kind]));
+    for (const [kind] of this.kinds) if (this[`n${kind}`]) say(this[`n${kind}`], count(totals[kind]));
     const live = this.chosen === null;
     say(this.when, `Episode ${count(now.episodes)}, ${count(now.env_steps)} environment steps, after ${duration(now.wall_s)}${live ? " (latest)" : ""}`);
     this.slider.setAttribute("aria-valuetext", this.when.textContent);
@@ -289,10 +294,11 @@ export class BridgeMap {
     if (this.shown.actions && looks) parts.push(h("path", { class: "arrows", d: this.arrows(array(looks.policy)) }));
     const length = this.length();
     parts.push(...this.scene((point) => point, Math.min(0.22, 0.3 * length), length));
+    const round = near(Math.min(0.36, 0.028 * Math.max(columns, rows.length)));
     const letters = [["S", this.head.map.ends?.[0]], ["G", this.head.map.ends?.[1]]];
     for (const [letter, place] of letters) {
       const [x, y] = array(place).map(Number);
-      if (Number.isFinite(x + y)) parts.push(h("circle", { class: "end", cx: x, cy: y, r: 0.36 }), h("text", { class: "letter", x, y, "font-size": 0.5 }, letter));
+      if (Number.isFinite(x + y)) parts.push(h("circle", { class: "end", cx: x, cy: y, r: round }), h("text", { class: "letter", x, y, "font-size": near(1.4 * round) }, letter));
     }
     this.put(`-0.5 -0.5 ${columns} ${rows.length}`, parts, canvas, columns / rows.length);
   }
@@ -322,12 +328,12 @@ export class BridgeMap {
   // The mentor's path, the bridges, the evaluation's path and the step that is picked, where `to` puts a point.
   scene(to, radius, length) {
     const parts = [];
-    const lines = { f: [], b: [], g: [], u: [] };
+    const lines = { f: [], b: [], g: [], u: [], r: [] };
     const ends = this.from.map((point, step) => [to(point), to(this.to[step])].map((place) => place.map(near)));
     ends.forEach(([a, b], step) => lines[this.kind(step)].push(`M${a}L${b}`));
     const whole = Object.values(lines).flat().join("");
     if (whole) parts.push(h("path", { class: "halo", d: whole, "stroke-width": 6 }));
-    for (const [kind] of [...KINDS].reverse()) if (lines[kind].length) parts.push(h("path", { class: `line k-${kind}`, d: lines[kind].join("") }));
+    for (const [kind] of [...this.kinds].reverse()) if (lines[kind].length) parts.push(h("path", { class: `line k-${kind}`, d: lines[kind].join("") }));
     if (this.shown.bridges) parts.push(...this.arcs(ends.map(([a]) => a), length));
     if (this.shown.path) parts.push(...this.evaluation(to, radius));
     if (this.from.length <= 160) ends.forEach(([a], step) => parts.push(mark(this.kind(step), a[0], a[1], radius)));
@@ -439,7 +445,7 @@ export class BridgeMap {
     const r = Math.min(0.9, (0.35 * (width - 2 * margin)) / this.from.length);
     this.from.forEach((_, step) => {
       const [a, b] = this.places[step];
-      parts.push(h("path", { class: `line k-${this.kind(step)}`, d: `M${a} ${floor}V${b}`, "stroke-width": 1.5 }));
+      parts.push(h("path", { class: `stem k-${this.kind(step)}`, d: `M${a} ${floor}V${b}` }));
     });
     this.places.forEach(([a, b], step) => parts.push(mark(this.kind(step), a, b, near(r))));
     if (this.shown.bridges) {
@@ -457,9 +463,7 @@ export class BridgeMap {
   }
 
   put(viewBox, parts, canvas, ratio) {
-    const feasible = ["f", "b", "g", "u"].map((kind) => [kind, this[`n${kind}`]?.textContent]);
-    const names = Object.fromEntries(KINDS.map(([kind, name]) => [kind, name]));
-    const label = this.from.length ? `Bridge map: of ${this.from.length} mentor steps ${feasible.map(([kind, n]) => `${n} ${names[kind]}`).join(", ")}` : "Map";
+    const label = !this.from.length ? "Map" : `${this.title.textContent}: of ${this.from.length} mentor steps ${this.kinds.map(([kind, name]) => `${this[`n${kind}`]?.textContent} ${name}`).join(", ")}`;
     const svg = h("svg", { viewBox, role: "img", "aria-label": label, preserveAspectRatio: "xMidYMid meet" }, parts);
     this.stage.style.maxWidth = `min(100%, ${Math.round(Math.max(320, 620 * ratio))}px)`;
     this.stage.replaceChildren(...(canvas ? [canvas] : []), svg);
@@ -471,12 +475,18 @@ export class BridgeMap {
     if (step === null || !this.from.length) return;
     const now = this.now;
     const cell = (list) => Number(array(list)[step]);
-    const kind = KINDS.find(([letter]) => letter === this.kind(step));
+    const kind = this.kinds.find(([letter]) => letter === this.kind(step)) ?? KINDS[3];
     say(this.stepNow, `${step * this.stride} of ${count(this.head.mentor?.transitions)}`);
     const action = array(this.head.actions)[cell(now.action)];
     const error = array(now.e_kl)[step];
     const span = cell(now.bridge);
-    const facts = [
+    const led = !!this.head.mentor?.led;
+    const facts = led ? [
+      ["State", kind[1]],
+      ["Agent near", `${count(cell(now.visited))} steps`],
+      ["Led by", action ?? "–"],
+      ["Probability", percent(cell(now.sure))],
+    ] : [
       ["State", kind[1]],
       ["a_est", action ?? "none yet"],
       ["e_KL", error === null || error === undefined ? "none yet" : Number(error).toPrecision(3)],
@@ -486,9 +496,10 @@ export class BridgeMap {
       ...(span > 0 ? [["Bridge age", `${count(now.env_steps - cell(now.found))} steps`]] : []),
     ];
     this.stepFacts.replaceChildren(...facts.flatMap(([term, text]) => [h("dt", {}, term), h("dd", {}, text)]));
-    const known = this.moments.filter((moment) => Number(array(moment.e_kl)[step]) >= 0 && array(moment.e_kl)[step] !== null);
+    const key = led ? "sure" : "e_kl";
+    const known = this.moments.filter((moment) => Number.isFinite(array(moment[key])[step]));
     this.history.set([{
-      label: "e_KL", color: "c0", x: known.map((moment) => Number(moment.env_steps)), y: known.map((moment) => Math.max(Number(moment.e_kl[step]), 1e-6)),
+      label: led ? "probability" : "e_KL", color: "c0", x: known.map((moment) => Number(moment.env_steps)), y: known.map((moment) => Math.max(Number(moment[key][step]), 1e-6)),
     }], "environment steps");
   }
 }

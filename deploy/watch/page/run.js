@@ -1,6 +1,6 @@
 // The page of one run.
 
-import { AXES, Chart, axisLabel, dash, onAxis } from "./charts.js";
+import { AXES, Chart, axisLabel, dash, onAxis, short } from "./charts.js";
 import { address, check, choice, count, duration, h, moment, number, percent, pill, say, show } from "./dom.js";
 import { BridgeMap } from "./map.js";
 
@@ -35,13 +35,13 @@ export class RunView {
     this.map = new BridgeMap(this.below);
     this.curve = new Chart({ label: "Learning curve", height: 300, y: "return" });
     this.compare = h("div", { class: "group" });
-    this.speed = new Chart({ label: "Steps a second", height: 120, y: "steps/s", range: (_, low, high) => [0, high > 0 ? 1.1 * high : 1] });
+    this.speed = new Chart({ label: "Steps a second", height: 120, y: "", format: short, range: (_, low, high) => [0, high > 0 ? 1.1 * high : 1] });
     this.time = new Chart({ label: "Where the time goes", height: 160, y: "", range: () => [0, 1], format: percent });
     this.loss = new Chart({ label: "Loss", height: 170, y: "" });
     this.mentor = new Chart({ label: "The mentor's transitions", height: 170, y: "", range: () => [0, 1], format: percent });
     this.error = new Chart({ label: "Mean e_KL", height: 170, y: "" });
     this.explore = new Chart({ label: "Exploration", height: 170, y: "", range: () => [0, 1] });
-    this.replay = new Chart({ label: "Replay", height: 170, y: "", range: (_, low, high) => [0, high > 0 ? 1.1 * high : 1] });
+    this.replay = new Chart({ label: "Replay", height: 170, y: "", format: short, range: (_, low, high) => [0, high > 0 ? 1.1 * high : 1] });
     this.memory = new Chart({ label: "Memory of the learner", height: 170, y: "MiB", range: (_, low, high) => [0, high > 0 ? 1.2 * high : 1] });
     this.actors = h("div", {});
     this.events = h("ul", { class: "events" });
@@ -131,7 +131,7 @@ export class RunView {
   update(state) {
     this.state = state;
     const { facts, state: stand } = state;
-    const name = this.below.split("/").at(-1) || state.path.split("/").at(-1);
+    const name = this.below.split("/").at(-1) || state.path.split("/").filter(Boolean).at(-1) || "Run";
     say(this.title, name);
     document.title = `${stand === "running" ? percent(state.share) : stand} ${name} – Trestle`;
     const pills = [pill(stand)];

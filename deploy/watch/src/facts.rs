@@ -78,6 +78,9 @@ impl Facts {
             facts.restarts = plan.restarts;
             facts.env = plan.spec.name;
             facts.actions = plan.spec.actions;
+        } else if let Some(result) = result(dir) {
+            // A plan of another version.
+            facts.env = result.env;
         }
         let commands = last_lines(dir, COMMAND_FILE, 2 * MAX_COMMAND as u64).unwrap_or_default();
         facts.command = commands.last().map(|line| shown(line, MAX_COMMAND)).unwrap_or_default();

@@ -208,7 +208,7 @@ impl FolderPage {
         json!({
             "kind": "folder",
             "below": self.below.to_string(),
-            "path": root.path().join(self.below.to_string()).display().to_string(),
+            "path": root.path_of(&self.below),
             "sweep": manifest.as_ref().map(|sweep| facts::shown(&sweep.source, 200)),
             "planned": planned,
             "runs": self.runs.len(),
@@ -348,7 +348,7 @@ impl Summary {
         if settled && self.seen == Some(seen) && self.records.share() >= 1.0 {
             return;
         }
-        if self.seen.is_none_or(|before| before.config != seen.config) {
+        if self.seen.is_none_or(|before| before.config != seen.config || before.result != seen.result) {
             self.facts = Facts::read(dir);
             self.facts.actions = Vec::new();
         }

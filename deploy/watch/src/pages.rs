@@ -120,7 +120,7 @@ impl Page {
             let json = self.contents(root, below, locks).unwrap_or_else(|error| {
                 self.contents = None;
                 let fault = (error.kind() != io::ErrorKind::NotFound).then(|| error.to_string());
-                let path = root.path().join(below.to_string()).display().to_string();
+                let path = root.path_of(below);
                 json!({"kind": "missing", "below": below.to_string(), "path": path, "fault": fault})
                     .to_string()
             });

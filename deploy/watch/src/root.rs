@@ -76,9 +76,11 @@ impl Root {
         }
     }
 
-    /// Its path.
-    pub(crate) fn path(&self) -> &Path {
-        &self.0
+    /// The path of `below`, for people.
+    pub(crate) fn path_of(&self, below: &Below) -> String {
+        // Joining nothing would end it with a slash.
+        let path = below.names().iter().fold(self.0.clone(), |path, name| path.join(name));
+        path.display().to_string()
     }
 
     /// The directory `below` it.

@@ -135,7 +135,7 @@ impl RunPage {
         let page = json!({
             "kind": "run",
             "below": self.below.to_string(),
-            "path": root.path().join(self.below.to_string()).display().to_string(),
+            "path": root.path_of(&self.below),
             "state": state,
             "reason": given_up,
             "facts": self.facts,

@@ -11,9 +11,10 @@
 
 mod moment;
 mod squares;
+mod way;
 
 use crate::record::RecordError;
-use moment::{Findings, Head, Moment};
+use moment::{Findings, Head, Moment, stride};
 use squares::Squares;
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -26,6 +27,7 @@ use trestle_proto::own_file;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
+use way::{Way, steps};
 
 /// Moments that are kept, at most.
 pub(crate) const MOST: usize = 128;
@@ -43,6 +45,8 @@ pub(crate) struct Timeline {
     head: Head,
     squares: Option<Squares>,
     findings: Findings,
+    /// With learned bridges.
+    way: Option<Way>,
     /// The places, or states, of the newest evaluation's first episode.
     path_taken: Vec<f64>,
     /// Environment steps and lines of the moments that are kept.
@@ -109,6 +113,7 @@ impl Timeline {
             findings: Findings::new(mentor.map_or(0, MentorTransitions::len)),
             head: Head::new(plan, map, squares.as_ref(), mentor),
             squares,
+            way: if mentor.is_none() { Way::new(plan, stride(steps(plan).count())) } else { None },
             path_taken: Vec::new(),
             kept: VecDeque::new(),
             every: EVERY,
@@ -134,7 +139,10 @@ impl Timeline {
             return;
         }
         let squares = self.squares.as_mut().map(|squares| squares.look(agent));
-        let moment = self.findings.moment(agent, wall_s, squares, &self.path_taken);
+        let mut moment = self.findings.moment(agent, wall_s, squares, &self.path_taken);
+        if let Some(way) = &mut self.way {
+            way.tell(agent, &mut moment);
+        }
         let written = self.write(&moment);
         self.note(written);
         self.due = Instant::now() + self.every.max(start.elapsed() * REST);

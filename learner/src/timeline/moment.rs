@@ -1,8 +1,10 @@
 //! The lines of the timeline.
 
 use super::squares::{HALF_LIFE, Looks, SHADES, Squares};
+use super::way::steps;
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::{Agent, MentorRow};
+use trestle_proto::NONE;
 use trestle_proto::map_file::MapFile;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
@@ -37,6 +39,8 @@ pub(super) struct Head {
 
 #[derive(Debug, Default, Serialize)]
 struct Mentor {
+    /// Whether the path is only led along, and no loss is the mentor's.
+    led: bool,
     /// Of all transitions every `stride`th is told of.
     transitions: usize,
     stride: usize,
@@ -68,17 +72,26 @@ impl Head {
             actions: plan.spec.actions.clone(),
             mentor: Mentor::default(),
         };
-        let Some(transitions) = mentor else { return head };
-        let stride = stride(transitions.len());
-        let shown = || (0..transitions.len()).step_by(stride);
-        head.mentor = Mentor {
-            transitions: transitions.len(),
-            stride,
-            demos: plan.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect(),
-            first: shown().map(|j| u8::from(transitions.first(j))).collect(),
-            from: shown().flat_map(|j| head.point(transitions.state(j))).collect(),
-            to: shown().flat_map(|j| head.point(transitions.next_state(j))).collect(),
+        let count = mentor.map_or_else(|| steps(plan).count(), MentorTransitions::len);
+        let stride = stride(count);
+        let mut told = Mentor { transitions: count, stride, led: mentor.is_none(), ..Mentor::default() };
+        told.demos = plan.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect();
+        let mut tell = |from: &[f32], to: &[f32], first: bool| {
+            told.from.extend(head.point(from));
+            told.to.extend(head.point(to));
+            told.first.push(u8::from(first));
         };
+        if let Some(transitions) = mentor {
+            for j in (0..count).step_by(stride) {
+                tell(transitions.state(j), transitions.next_state(j), transitions.first(j));
+            }
+        } else if let Some(waypoints) = &plan.waypoints {
+            let state = |m: usize| &waypoints.states[m * head.obs_dim..][..head.obs_dim];
+            for m in steps(plan).step_by(stride) {
+                tell(state(m), state(m + 1), m == 0 || waypoints.transition_of[m - 1] == NONE);
+            }
+        }
+        head.mentor = told;
         head
     }
 
@@ -114,20 +127,28 @@ pub(super) struct Moment {
     pub(super) env_steps: u64,
     pub(super) grad_steps: u64,
     pub(super) wall_s: f64,
-    /// A letter each: see [`kind`].
+    /// A letter each: see [`kind()`].
     kind: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     e_kl: Vec<Option<f64>>,
-    /// a_est; -1 before there is one.
+    /// a_est, -1 before there is one; with learned bridges the likeliest action of their policy.
     action: Vec<i64>,
-    /// Observer transitions that it was picked for.
+    /// With learned bridges the probability of that action.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    sure: Vec<f64>,
+    /// Observer transitions that it was picked for; with learned bridges the observer's steps near its beginning.
     visited: Vec<u64>,
     /// Samples that were trained with its loss.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     used: Vec<u64>,
     /// Length of the bridge; 0 without one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     bridge: Vec<u32>,
     /// The mentor state that the bridge reaches: this many steps after the one that it begins in.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     ahead: Vec<u32>,
     /// Environment steps of the moment that this bridge was seen in first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     found: Vec<u64>,
     /// The free squares of the map.
     squares: Option<Looks>,
@@ -135,8 +156,19 @@ pub(super) struct Moment {
     path: Vec<f64>,
 }
 
+impl Moment {
+    /// Tells of a step that is led along: how often the observer was near its beginning, and what the policy would do there with
+    /// which probability.
+    pub(super) fn push_led(&mut self, visited: u64, action: usize, sure: f32) {
+        self.kind.push(if visited > 0 { 'r' } else { 'u' });
+        self.visited.push(visited);
+        self.action.push(action as i64);
+        self.sure.push(digits(sure));
+    }
+}
+
 /// What has been found out about a mentor transition, as a letter: `f`easible, `b`ridged, `g`ated (it is neither, so its loss is
-/// not used), or `u`nseen.
+/// not used), or `u`nseen. With learned bridges a step is `r`eached or `u`nseen.
 fn kind(row: &MentorRow<'_>) -> char {
     match (row.feasible, row.bridge, row.estimate) {
         (true, ..) => 'f',
@@ -222,11 +254,11 @@ impl Findings {
 }
 
 /// Of how many mentor transitions one is told of.
-fn stride(transitions: usize) -> usize {
+pub(super) fn stride(transitions: usize) -> usize {
     transitions.div_ceil(MAX_TRANSITIONS).max(1)
 }
 
-/// Three digits of a divergence.
+/// Three digits of `x`.
 fn digits(x: f32) -> f64 {
     format!("{x:.2e}").parse().unwrap_or(f64::from(x))
 }
