@@ -74,7 +74,9 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
             session.request_final_evaluation();
         }
         if let Some((number, episodes)) = session.evaluate() {
-            let evaluation = workers[0].evaluate(session.agent().weights(), number, episodes)?;
+            let acting = session.agent().acting();
+            let mut evaluation = workers[0].evaluate(&acting.weights, number, episodes)?;
+            evaluation.guide_return = workers[0].evaluate_guide(&acting.policy, number)?;
             session.evaluated(&evaluation)?;
         }
     }

@@ -257,7 +257,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let mut table = Vec::new();
     AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
     let config = complete();
-    let evaluation = Evaluation { evaluation: 3, episodes: Vec::new() };
+    let evaluation = Evaluation { evaluation: 3, episodes: Vec::new(), guide_return: Some(-1.0) };
     let snapshot = worker().snapshot().unwrap();
     let mut replay = Replay::new(8, DIM).unwrap();
     for _ in 0..8 {

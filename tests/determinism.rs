@@ -1,6 +1,7 @@
 //! A run's outcome is a function of its configuration and its seed.
 
-use crate::util::{Place, Trace, assert_gone, available, start, start_under};
+use crate::util::{Place, Trace, assert_gone, available, metrics, start, start_under};
+use serde_json::Value;
 use std::fs;
 use trestle_qnet::Isa;
 
@@ -96,6 +97,30 @@ fn learned_bridges() {
 }
 
 #[test]
+fn what_learned_bridges_do_is_recorded() {
+    let place = Place::new();
+    let rows = |name: &str, algo| {
+        place.train(name, &with(&["--algo", algo]));
+        metrics(&place.run(name))
+    };
+    let of = |rows: &[Value], key: &str| -> Vec<f64> {
+        rows.iter().filter_map(|row| row.get(key)?.as_f64()).collect()
+    };
+    let trestle = rows("trestle", "trestle");
+    for key in ["guide/steps_frac", "guide/progress_mean"] {
+        let values = of(&trestle, key);
+        assert!(!values.is_empty() && values.iter().all(|x| (0.0..=1.0).contains(x)), "{key}: {values:?}");
+    }
+    let [guided, stuck] = ["guided", "stuck"].map(|kind| of(&trestle, &format!("guide/{kind}_episodes")));
+    assert!(guided.last() > Some(&0.0) && stuck.last() <= guided.last(), "{guided:?} {stuck:?}");
+    // Below that of a policy which knows nothing: that is the logarithm of the number of actions.
+    assert!(of(&trestle, "guide/loss").iter().any(|loss| *loss < 4f64.ln()), "{trestle:?}");
+    assert!(!of(&trestle, "guide/return").is_empty());
+    let plain = rows("dqn", "dqn");
+    assert!(plain.iter().all(|row| row.as_object().unwrap().keys().all(|key| !key.starts_with("guide/"))));
+}
+
+#[test]
 fn three_actors_with_lag() {
     agree(&["--actors", "3", "--set", "run.lag=1", "--set", "run.rollout=7"]);
 }
@@ -152,9 +177,9 @@ fn plain_learning_the_paper_variants_and_ours() {
             "--set",
             "exploration.guide_end=0.5",
             "--set",
-            "mentor.learned.frontier=skip",
+            "mentor.learned.idle=7",
             "--set",
-            "mentor.learned.patience=1",
+            "mentor.learned.gate=false",
         ],
         &["--algo", "trestle", "--set", "env.encoding=one-hot", "--set", "learner.n_step=5"],
     ];

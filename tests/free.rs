@@ -29,7 +29,7 @@ const ROLES: [&str; 5] = ["learner", "mentor-server", "actor-0", "actor-1", "act
 /// Without a batch ahead, a single actor and the learner take turns: that is lockstep.
 #[test]
 fn one_actor_that_is_never_ahead_learns_what_lockstep_learns() {
-    for algo in ["dqn", "ha-diiqn"] {
+    for algo in ["dqn", "ha-diiqn", "trestle"] {
         let place = Place::new();
         let args = ["maze-small", "--algo", algo, "--env-steps", "9000", "--seed", "4"];
         let lockstep = place.train("lockstep", &args);

@@ -87,6 +87,13 @@ fn two_actors_with_lag() {
 }
 
 /// The shortest run there is, and one whose last tick is that of a checkpoint.
+/// Each actor has a place on the mentor's path of its own, and the guide comes to its end on the way.
+#[test]
+fn learned_bridges_with_lag() {
+    let trestle = ["--algo", "trestle", "--actors", "3", "--set", "run.lag=1"];
+    equals(&[&trestle[..], &["--set", "exploration.epsilon_decay_steps=15000"]].concat());
+}
+
 #[test]
 fn from_any_length() {
     let place = Place::new();

@@ -184,8 +184,9 @@ impl<L: ActorLink> Serving<'_, L> {
             return Ok(false);
         };
         if let Work::Evaluation = work {
-            let evaluation =
-                self.worker.evaluate(&acting.weights, self.orders.evaluation - 1, self.orders.episodes)?;
+            let number = self.orders.evaluation - 1;
+            let mut evaluation = self.worker.evaluate(&acting.weights, number, self.orders.episodes)?;
+            evaluation.guide_return = self.worker.evaluate_guide(&acting.policy, number)?;
             self.played = self.orders.evaluation;
             self.reply(self.played, EVALUATION, codec::encode(EVALUATION_KIND, &evaluation)?);
         } else {

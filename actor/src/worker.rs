@@ -9,7 +9,7 @@ use std::fmt;
 use trestle_algorithm::similarity::metric::MetricError;
 use trestle_link::pulse;
 use trestle_proto::acting::{Acting, Lengths};
-use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Tally, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
 use trestle_proto::incarnation::Incarnation;
@@ -326,6 +326,7 @@ impl Worker {
             incarnation: self.incarnation,
             count: order.steps,
             obs_dim: self.obs.len() as u32,
+            guide: Tally::default(),
         });
         let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
         self.guides = schedule::guides(&self.exploration, before);
@@ -365,6 +366,7 @@ impl Worker {
                 std::mem::swap(&mut self.obs, &mut self.next_obs);
             }
         }
+        batch.header.guide = self.guide.as_mut().map(Guide::take_tally).unwrap_or_default();
         Ok(())
     }
 
@@ -391,18 +393,38 @@ impl Worker {
         let mut room = MAX_PATH_FEATURES;
         let mut played = Vec::with_capacity(episodes as usize);
         for _ in 0..episodes {
-            let episode = self.play(weights, &mut rng, room, evaluation)?;
+            let greedy =
+                |policy: &mut Policy, _: Option<&mut Guide>, obs: &[f32]| policy.greedy(weights, obs);
+            let episode = self.play(greedy, &mut rng, room, evaluation)?;
             // Once a path has been left out, all later ones are.
             room = if episode.path.is_empty() { 0 } else { room - episode.path.len() };
             played.push(episode);
         }
-        Ok(Evaluation { evaluation, episodes: played })
+        Ok(Evaluation { evaluation, episodes: played, guide_return: None })
     }
 
-    /// One greedy episode of the evaluation with this number, its path left out if it has more than `room` features.
+    /// The return of an episode that follows the likeliest actions of a learned guide's policy with the parameters `policy`, and
+    /// that begins as the evaluation with this number does. None where no guide is learnt, or it is of no more use.
+    ///
+    /// # Errors
+    /// An environment that fails or gives what is not finite.
+    pub fn evaluate_guide(&mut self, policy: &[f32], evaluation: u64) -> Result<Option<f64>, ActorError> {
+        let guides = self.guides && policy.len() == self.lengths.policy;
+        let Some(Guide::Learned(guide)) = self.guide.as_ref().filter(|_| guides) else { return Ok(None) };
+        let mut tracker = guide.fresh();
+        let lead = |_: &mut Policy, guide: Option<&mut Guide>, obs: &[f32]| match guide {
+            Some(Guide::Learned(guide)) => guide.lead(&mut tracker, obs, policy),
+            _ => 0,
+        };
+        let mut rng = stream(self.seed, Purpose::Evaluation, evaluation);
+        Ok(Some(self.play(lead, &mut rng, 0, evaluation)?.total_reward))
+    }
+
+    /// One episode of the evaluation with this number, by the actions that `choose` takes in its states. Its path is left out if
+    /// it has more than `room` features.
     fn play(
         &mut self,
-        weights: &[f32],
+        mut choose: impl FnMut(&mut Policy, Option<&mut Guide>, &[f32]) -> u32,
         rng: &mut Stream,
         room: usize,
         evaluation: u64,
@@ -423,7 +445,7 @@ impl Worker {
         };
         record(&self.evaluation_obs);
         let (last, whole) = loop {
-            let action = self.policy.greedy(weights, &self.evaluation_obs);
+            let action = choose(&mut self.policy, self.guide.as_mut(), &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
             check_finite(index, moment, &self.evaluation_obs, step.reward)?;

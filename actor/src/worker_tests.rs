@@ -3,6 +3,7 @@
 
 use super::*;
 use trestle_proto::NONE;
+use trestle_proto::batch::Tally;
 use trestle_proto::plan::MentorPart;
 use trestle_proto::waypoints::Waypoints;
 
@@ -73,9 +74,14 @@ fn guided_batches(worker: &mut Worker, acting: &Acting, first: u64, n: u64, amou
 /// The corridor "S....G", whose mentor went from its start to its end; of every exploring step a share is guided.
 fn guided_corridor(share: f64) -> RunPlan {
     let share = ["start", "end"].map(|at| format!("exploration.guide_{at}={share}"));
-    let sets = ["exploration.epsilon_end=1", "mentor.e_th=0.1", &share[0], &share[1]];
-    let mut plan = corridor("S....G\n", &sets);
+    let mut plan = walked_corridor(&["mentor.e_th=0.1", &share[0], &share[1]]);
     plan.mentors = vec![MentorPart { name: "line".into(), transitions: 5 }];
+    plan
+}
+
+/// The same corridor without annotations, where every step explores.
+fn walked_corridor(sets: &[&str]) -> RunPlan {
+    let mut plan = corridor("S....G\n", &[&["exploration.epsilon_end=1"], sets].concat());
     let states = (0..6).flat_map(|x| [x as f32, 0.0]).collect();
     let (transition_of, progress) = (vec![0, 1, 2, 3, 4, NONE], vec![0.0; 6]);
     plan.waypoints = Some(Waypoints { states, transition_of, progress });
@@ -117,6 +123,105 @@ fn a_share_of_the_exploring_steps_is_guided() {
     assert!((690..810).contains(&east), "{east} of 1000");
 }
 
+/// The same corridor, where every exploring step follows learned bridges while these guide an episode.
+fn bridged_corridor(sets: &[&str]) -> RunPlan {
+    let own = [
+        "run.algo=trestle",
+        "exploration.guide_start=1",
+        "exploration.guide_end=1",
+        "mentor.learned.hidden=[1]",
+        "mentor.learned.features=[0,1]",
+        "mentor.learned.radius=0.5",
+        "mentor.learned.window=3",
+        "mentor.learned.lookahead=1",
+    ];
+    walked_corridor(&[&own[..], sets].concat())
+}
+
+/// A network that goes west, and a guiding policy that all but surely takes `action`.
+fn leading(plan: &RunPlan, action: usize) -> Acting {
+    let mut policy = vec![0.0; plan.acting().policy];
+    let outputs = policy.len() - 2;
+    policy[outputs + action] = 90.0;
+    Acting { policy, ..Acting::of_weights(always(plan, 0)) }
+}
+
+#[test]
+fn learned_bridges_lead_to_the_end_of_the_path() {
+    let plan = bridged_corridor(&[]);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let east = leading(&plan, 1);
+    let batches = guided_batches(&mut worker, &east, 1, 4, 5);
+    assert!(batches.iter().all(|batch| batch.actions() == [1; 5] && batch.transition(4).succeeded()));
+    let tally = Tally { steps: 5, episodes: 1, guided: 1, stuck: 0, progress: 1.0 };
+    assert!(batches.iter().all(|batch| batch.header.guide == tally));
+}
+
+#[test]
+fn episodes_are_left_to_themselves_where_bridges_lead_nowhere() {
+    let led = |sets: &[&str]| {
+        let plan = bridged_corridor(sets);
+        let mut worker = Worker::new(&plan, 0).unwrap();
+        let mut tally = Tally::default();
+        for batch in guided_batches(&mut worker, &leading(&plan, 0), 1, 50, 14) {
+            tally.merge(&batch.header.guide);
+        }
+        tally
+    };
+    // Every episode has its seven steps and stays in the first cell.
+    let pinned = led(&["mentor.learned.gate=false", "mentor.learned.idle=0"]);
+    assert_eq!((pinned.steps, pinned.guided, pinned.stuck, pinned.progress), (700, 100, 100, 0.0));
+    // Two steps are led and three are free, unless an episode gets on by itself.
+    let free = led(&["mentor.learned.gate=false", "mentor.learned.idle=2", "mentor.learned.roam=3"]);
+    assert!((200..500).contains(&free.steps) && free.progress > 5.0, "{free:?}");
+    let gated = led(&["mentor.learned.gate=true", "mentor.learned.idle=0"]);
+    assert!((7..400).contains(&gated.steps) && gated.guided < 60 && gated.stuck == gated.guided, "{gated:?}");
+}
+
+#[test]
+fn an_actor_that_is_led_goes_on_from_its_snapshot() {
+    let plan = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
+    let acting = leading(&plan, 1);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    for first in [1, 8, 15] {
+        guided_batches(&mut worker, &acting, first, 7, 13);
+        let bytes = worker.snapshot().unwrap();
+        let mut other = Worker::new(&plan, 0).unwrap();
+        other.restore(&bytes).unwrap();
+        assert_eq!(other.snapshot().unwrap(), bytes);
+        let went_on = guided_batches(&mut other, &acting, first + 7, 20, 13);
+        assert_eq!(guided_batches(&mut worker, &acting, first + 7, 20, 13), went_on);
+    }
+    // Neither an actor without a guide nor one with another path takes it.
+    let bytes = worker.snapshot().unwrap();
+    let mut plain = Worker::new(&walked_corridor(&[]), 0).unwrap();
+    let message = plain.restore(&bytes).unwrap_err().to_string();
+    assert!(message.contains("its place on the mentor's path"), "{message}");
+    let mut other = bridged_corridor(&[]);
+    other.waypoints.as_mut().unwrap().states.truncate(4);
+    other.waypoints.as_mut().unwrap().transition_of = vec![0, NONE];
+    assert!(matches!(Worker::new(&other, 0).unwrap().restore(&bytes), Err(ActorError::Guide { index: 0 })));
+}
+
+#[test]
+fn a_guide_is_played_alone_and_has_nothing_to_do_when_its_time_is_over() {
+    let plan = bridged_corridor(&["exploration.guide_end=0", "exploration.guide_decay_steps=14"]);
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let before = worker.snapshot().unwrap();
+    let played =
+        |worker: &mut Worker, action| worker.evaluate_guide(&leading(&plan, action).policy, 3).unwrap();
+    assert!((played(&mut worker, 1).unwrap() - 0.84).abs() < 1e-6);
+    assert!((played(&mut worker, 0).unwrap() + 7.0 * 0.75).abs() < 1e-6);
+    assert_eq!(worker.snapshot().unwrap(), before);
+    let acting = leading(&plan, 1);
+    let guided = guided_batches(&mut worker, &acting, 1, 1, 14).remove(0);
+    assert!(guided.header.guide.steps > 0);
+    let free = guided_batches(&mut worker, &acting, 2, 20, 14);
+    assert!(free.iter().all(|batch| batch.header.guide == Tally::default()));
+    assert_eq!(played(&mut worker, 1), None);
+    assert_eq!(Worker::new(&walked_corridor(&[]), 0).unwrap().evaluate_guide(&[], 3).unwrap(), None);
+}
+
 #[test]
 fn batches_are_complete_and_continuous() {
     let plan = plan(&["run.actors=2", "env.step_limit=50"]);
@@ -134,6 +239,7 @@ fn batches_are_complete_and_continuous() {
             incarnation: Incarnation::default(),
             count: 32,
             obs_dim: 2,
+            guide: Tally::default(),
         };
         assert_eq!(batch.header, header);
         Batch::default().receive(header, batch.payload(), 2, 4).unwrap();
@@ -271,8 +377,9 @@ fn a_path_without_room_is_left_out() {
     let plan = corridor("S..G\n", &[]);
     let params = always(&plan, 1);
     let mut worker = Worker::new(&plan, 0).unwrap();
+    let greedy = |policy: &mut Policy, _: Option<&mut Guide>, obs: &[f32]| policy.greedy(&params, obs);
     let mut path =
-        |room| worker.play(&params, &mut stream(0, Purpose::Evaluation, 0), room, 0).unwrap().path.len();
+        |room| worker.play(greedy, &mut stream(0, Purpose::Evaluation, 0), room, 0).unwrap().path.len();
     assert_eq!((path(8), path(7), path(0)), (8, 0, 0));
 }
 

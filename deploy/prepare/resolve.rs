@@ -225,7 +225,9 @@ impl Resolved {
         let mut warnings = registry().warnings(&self.config.env).unwrap_or_default();
         let Some(mentors) = &self.mentors else { return warnings };
         warnings.extend(mentors.warnings.iter().cloned());
-        if let (Some(e_th), Some(e_infeas)) = (mentor.e_th.known(), mentor.e_infeas.known()) {
+        let annotates = self.config.run.algo.has_mentor();
+        if let (true, Some(e_th), Some(e_infeas)) = (annotates, mentor.e_th.known(), mentor.e_infeas.known())
+        {
             warnings.extend(mentors.summary.warnings(e_th, e_infeas));
             if !self.spec.integral {
                 let (summary, metric) = (&mentors.summary, &mentors.metric);

@@ -50,7 +50,7 @@ impl Played<'_> {
             success: Some(false),
             path: Vec::new(),
         };
-        let evaluation = Evaluation { evaluation, episodes: vec![episode] };
+        let evaluation = Evaluation { evaluation, episodes: vec![episode], guide_return: None };
         let payload = codec::encode(EVALUATION_KIND, &evaluation).unwrap();
         self.link.send_reply(&Reply { header, payload }).unwrap();
     }
@@ -215,7 +215,9 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
         success: Some(false),
         path: Vec::new(),
     };
-    session.evaluated(&Evaluation { evaluation: number, episodes: vec![episode] }).unwrap();
+    session
+        .evaluated(&Evaluation { evaluation: number, episodes: vec![episode], guide_return: None })
+        .unwrap();
     let rows = std::fs::read_to_string(dir.evals()).unwrap();
     assert_eq!(rows.lines().last().unwrap().split(',').nth(1), Some("3"), "{rows}");
 }

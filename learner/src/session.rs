@@ -6,8 +6,9 @@
 
 use crate::checkpoint::{self, BestEvaluation, CheckpointError, Cut, Saver, Taken};
 use crate::record::{
-    ActorRow, Gauges, Goal, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY, Progress,
-    RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors, write_mentor,
+    ActorRow, Gauges, Goal, GuideGauges, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY,
+    Progress, RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors,
+    write_mentor,
 };
 use crate::timeline::Timeline;
 use serde::{Deserialize, Serialize};
@@ -16,9 +17,9 @@ use std::time::{Duration, Instant};
 use trestle_algorithm::agent::{Agent, AgentError, Counters, Episode, TrainStats};
 use trestle_link::pulse;
 use trestle_proto::acting::Acting;
-use trestle_proto::batch::Batch;
+use trestle_proto::batch::{Batch, Tally};
 use trestle_proto::codec::{self, CodecError, Kind};
-use trestle_proto::config::Mode;
+use trestle_proto::config::{GuideKind, Mode};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
@@ -28,7 +29,7 @@ use trestle_proto::reply::Evaluation;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 6 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 7 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -94,6 +95,12 @@ pub struct Session<'a> {
     actors: Vec<ActorRow>,
     /// Free mode: since the last interval row.
     staleness: Staleness,
+    /// What a learned guide did, since the last interval row and since the run began.
+    guide: [Tally; 2],
+    /// Return of the last episode that followed it alone.
+    guide_return: Option<f64>,
+    /// Environment steps at the last interval row.
+    interval_from: u64,
     /// Training since the last interval row.
     stats: TrainStats,
     /// Where the time since `since` went.
@@ -124,6 +131,8 @@ struct State {
     actors: Vec<ActorRow>,
     /// What the actors act with in the next tick, where it is not the agent's newest.
     behaviour: Option<Acting>,
+    /// What a learned guide has done.
+    guide: Tally,
 }
 
 /// A session that goes on from a checkpoint, and what the rest of the run needs from there.
@@ -162,6 +171,9 @@ impl<'a> Session<'a> {
             solved_by: None,
             actors: Vec::new(),
             staleness: Staleness::default(),
+            guide: [Tally::default(); 2],
+            guide_return: None,
+            interval_from: 0,
             stats: TrainStats::default(),
             spent: Spent::default(),
             since: Instant::now(),
@@ -199,6 +211,9 @@ impl<'a> Session<'a> {
             solved_by: state.solved_by,
             actors: state.actors,
             staleness: Staleness::default(),
+            guide: [Tally::default(), state.guide],
+            guide_return: None,
+            interval_from: counters.env_steps,
             stats: TrainStats::default(),
             spent: Spent::default(),
             since: Instant::now(),
@@ -255,6 +270,7 @@ impl<'a> Session<'a> {
     /// were counted: fewer than the batch has only where the run ended within it.
     pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<usize, SessionError> {
         let ingested = self.agent.ingest(batch, observed)?;
+        self.guide.iter_mut().for_each(|sum| sum.merge(&batch.header.guide));
         for finished in ingested.finished {
             self.recorder.episode(&finished.counters, &finished.episode)?;
         }
@@ -302,6 +318,8 @@ impl<'a> Session<'a> {
             self.stats = TrainStats::default();
             self.staleness = Staleness::default();
             self.spent = Spent::default();
+            self.guide[0] = Tally::default();
+            self.interval_from = now.env_steps;
             self.since = Instant::now();
         }
         if self.timeline.due() {
@@ -362,6 +380,7 @@ impl<'a> Session<'a> {
             .iter()
             .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
             .collect();
+        self.guide_return = evaluation.guide_return;
         let total_reward = self.recorder.evaluation(&counters, &episodes)?;
         if self.best.is_none_or(|best| total_reward > best) {
             self.keep_best(&counters, total_reward)?;
@@ -430,6 +449,7 @@ impl<'a> Session<'a> {
             solved_by: self.solved_by,
             actors: self.actors.clone(),
             behaviour,
+            guide: self.guide[1],
         };
         let run = codec::encode(KIND, &state)?;
         let (plan, tick, agent) = (self.plan, self.tick, &self.agent);
@@ -496,6 +516,18 @@ impl<'a> Session<'a> {
             gauges.staleness_mean = self.staleness.mean();
             gauges.staleness_max = self.staleness.max();
             gauges.samples_per_insert = samples as f64 / counters.env_steps as f64;
+        }
+        if config.guide() == Some(GuideKind::Learned) {
+            let [newest, all] = &self.guide;
+            let steps = self.agent.counters().env_steps - self.interval_from;
+            gauges.guide = Some(GuideGauges {
+                steps_frac: newest.steps as f64 / steps as f64,
+                progress_mean: newest.progress / newest.episodes as f64,
+                guided_episodes: all.guided,
+                stuck_episodes: all.stuck,
+                loss: self.stats.policy_loss_mean(),
+                total_reward: self.guide_return.unwrap_or(f64::NAN),
+            });
         }
         if let Some(all) = self.mentor_gauges("", 0..self.plan.mentor_len()) {
             gauges.feasible_frac = all.feasible_frac;

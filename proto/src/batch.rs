@@ -14,6 +14,7 @@ use crate::incarnation::Incarnation;
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use serde::{Deserialize, Serialize};
 
 /// The episode ended in a terminal state: its value is 0.
 pub const TERMINATED: u32 = 1;
@@ -31,9 +32,36 @@ pub const fn words(count: usize, obs_dim: usize) -> usize {
     count * (2 * obs_dim + 3)
 }
 
+/// What a guide that leads along the mentor's path did, for people to look at; all 0 without one.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable, Serialize, Deserialize)]
+pub struct Tally {
+    /// Steps that took an action of the guide's.
+    pub steps: u64,
+    /// Episodes that ended.
+    pub episodes: u64,
+    /// Those of them that were guided.
+    pub guided: u64,
+    /// Those of the guided ones that got stuck.
+    pub stuck: u64,
+    /// Sum over the episodes of the furthest share of the mentor's path that each came to, 0 to 1.
+    pub progress: f64,
+}
+
+impl Tally {
+    /// Adds `other`'s sums.
+    pub fn merge(&mut self, other: &Self) {
+        self.steps += other.steps;
+        self.episodes += other.episodes;
+        self.guided += other.guided;
+        self.stuck += other.stuck;
+        self.progress += other.progress;
+    }
+}
+
 /// What is sent beside a batch's payload.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct BatchHeader {
     /// Identity of the run: batches of another run are refused.
     pub run: u64,
@@ -51,10 +79,12 @@ pub struct BatchHeader {
     pub count: u32,
     /// Features of an observation.
     pub obs_dim: u32,
+    /// What the guide did meanwhile.
+    pub guide: Tally,
 }
 
 impl Message for BatchHeader {
-    const TYPE_NAME: &'static str = "trestle.BatchHeader.v2";
+    const TYPE_NAME: &'static str = "trestle.BatchHeader.v3";
 }
 
 /// A batch whose header, size or contents cannot be right.

@@ -15,7 +15,7 @@ pub const ACTOR_STATE: u32 = 2;
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
-pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 2 };
+pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 3 };
 
 /// What is sent beside a reply.
 #[repr(C)]
@@ -67,4 +67,6 @@ pub struct Evaluation {
     pub evaluation: u64,
     /// Its episodes.
     pub episodes: Vec<EvaluationEpisode>,
+    /// Return of an episode that followed the policy of learned bridges alone; none where they do not guide.
+    pub guide_return: Option<f64>,
 }

@@ -8,26 +8,49 @@ use trestle_algorithm::learned_bridges::{
     Goal, MentorPath, Pace, Tracker, draw, path_of, policy_of, softmax,
 };
 use trestle_algorithm::similarity::Hit;
+use trestle_proto::batch::Tally;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::Stream;
 use trestle_proto::space::Success;
-use trestle_qnet::{Layout, Workspace, forward, kernels_of};
+use trestle_qnet::{Layout, Workspace, argmax, forward, kernels_of};
 
 /// π's network, the mentor's path, and where this actor is on it.
 pub struct Learned {
-    goal: Goal,
-    path: MentorPath,
-    pace: Pace,
+    route: Route,
     layout: Layout,
     workspace: Workspace,
     input: Vec<f32>,
     outputs: Vec<f32>,
+    progress: Progress,
+    tally: Tally,
+    /// What counts as an episode's success.
+    success: Success,
+}
+
+/// The mentor's path as π sees it, and working memory to find places on it.
+struct Route {
+    goal: Goal,
+    path: MentorPath,
+    pace: Pace,
     place: Vec<f32>,
     stack: Vec<u32>,
     hits: Vec<Hit>,
-    progress: Progress,
-    /// What counts as an episode's success.
-    success: Success,
+}
+
+impl Route {
+    /// Lets `tracker` see `obs`, the first state of an episode.
+    fn begin(&mut self, tracker: &mut Tracker, obs: &[f32]) {
+        self.place.clear();
+        self.goal.place(obs, &mut self.place);
+        tracker.observe(&self.path, &self.pace, &self.place, &mut self.stack, &mut self.hits);
+    }
+
+    /// Lets `tracker` see `obs`, to which a step has led.
+    fn follow(&mut self, tracker: &mut Tracker, obs: &[f32]) {
+        self.place.clear();
+        self.goal.place(obs, &mut self.place);
+        tracker.follow(&self.path, &self.pace, &self.place, &mut self.stack, &mut self.hits);
+    }
 }
 
 /// How far an actor has come. All of it belongs to a snapshot.
@@ -47,56 +70,78 @@ impl Learned {
         let Some((goal, layout)) = policy_of(plan)? else { return Ok(None) };
         let Some(path) = path_of(plan, &goal) else { return Ok(None) };
         let pace = Pace::of(&plan.config.mentor.learned);
+        let progress = Progress { tracker: Tracker::default(), total_reward: 0.0 };
+        let place = Vec::with_capacity(goal.dim());
         Ok(Some(Self {
+            route: Route { goal, path, pace, place, stack: Vec::new(), hits: Vec::new() },
             workspace: Workspace::with_kernels(&layout, 1, kernels_of(plan)?),
             input: vec![0.0; layout.input()],
             outputs: vec![0.0; layout.output()],
-            place: Vec::with_capacity(goal.dim()),
-            stack: Vec::new(),
-            hits: Vec::new(),
-            progress: Progress { tracker: Tracker::new(&path, &pace), total_reward: 0.0 },
+            progress,
+            tally: Tally::default(),
             success: plan.success(),
-            goal,
-            path,
-            pace,
             layout,
         }))
     }
 
     /// An episode begins in `obs`. Draws one word, which decides whether it is guided.
     pub fn begin(&mut self, obs: &[f32], rng: &mut Stream) {
-        self.progress.tracker.begin(&self.pace, unit(rng));
         self.progress.total_reward = 0.0;
-        self.observe(obs);
+        self.progress.tracker.begin(&self.route.pace, unit(rng));
+        self.route.begin(&mut self.progress.tracker, obs);
     }
 
     /// A step of the episode, with the reward that is reported, has led to `obs`.
     pub fn follow(&mut self, obs: &[f32], reward: f64) {
-        self.progress.tracker.step();
         self.progress.total_reward += reward;
-        self.observe(obs);
+        self.route.follow(&mut self.progress.tracker, obs);
     }
 
     /// The episode has ended, and the environment `said` that it succeeded, or not.
     pub fn finish(&mut self, said: bool) {
         let success = self.success.of(said, self.progress.total_reward) == Some(true);
-        self.progress.tracker.finish(&self.path, &self.pace, success);
-    }
-
-    fn observe(&mut self, obs: &[f32]) {
-        self.place.clear();
-        self.goal.place(obs, &mut self.place);
-        let (stack, hits) = (&mut self.stack, &mut self.hits);
-        self.progress.tracker.observe(&self.path, &self.pace, &self.place, stack, hits);
+        let tracker = &mut self.progress.tracker;
+        let stuck = tracker.finish(success);
+        self.tally.episodes += 1;
+        self.tally.guided += u64::from(tracker.guided());
+        self.tally.stuck += u64::from(tracker.guided() && stuck);
+        self.tally.progress += f64::from(tracker.furthest());
     }
 
     /// An action of π in `obs`, drawn with one word of `rng`, if there is a goal to lead to. `params` are π's.
     pub fn action(&mut self, obs: &[f32], params: &[f32], rng: &mut Stream) -> Option<u32> {
-        let goal = self.progress.tracker.goal(&self.path, &self.pace)?;
-        self.goal.encode(obs, self.path.state(goal), &mut self.input);
-        forward(&self.layout, params, &self.input, 1, &mut self.workspace, &mut self.outputs);
+        let goal = self.progress.tracker.goal(&self.route.path, &self.route.pace)?;
+        self.forward(goal, obs, params);
         softmax(&mut self.outputs);
+        self.tally.steps += 1;
         Some(draw(&self.outputs, unit(rng)) as u32)
+    }
+
+    /// A tracker at the beginning of an episode that is guided, of whoever follows π alone.
+    pub fn fresh(&self) -> Tracker {
+        let mut tracker = Tracker::default();
+        tracker.begin(&self.route.pace, 0.0);
+        tracker
+    }
+
+    /// π's likeliest action in `obs`, where `tracker` has not been yet; the first one of several. Before the path has been found
+    /// it leads to its beginning. It never lets go.
+    pub fn lead(&mut self, tracker: &mut Tracker, obs: &[f32], params: &[f32]) -> u32 {
+        self.route.begin(tracker, obs);
+        let goal = tracker.goal(&self.route.path, &self.route.pace).unwrap_or(0);
+        self.forward(goal, obs, params);
+        argmax(&self.outputs) as u32
+    }
+
+    /// π's outputs in `obs` with the mentor state `goal`.
+    fn forward(&mut self, goal: usize, obs: &[f32], params: &[f32]) {
+        self.route.goal.encode(obs, self.route.path.state(goal), &mut self.input);
+        forward(&self.layout, params, &self.input, 1, &mut self.workspace, &mut self.outputs);
+    }
+
+    /// What the guide has done since it was asked last.
+    pub fn take_tally(&mut self) -> Tally {
+        std::mem::take(&mut self.tally)
     }
 
     /// What belongs to a snapshot.
@@ -106,7 +151,7 @@ impl Learned {
 
     /// Whether `progress` can be one of this guide.
     pub fn fits(&self, progress: &Progress) -> bool {
-        progress.total_reward.is_finite() && progress.tracker.fits(&self.path, &self.pace)
+        progress.total_reward.is_finite() && progress.tracker.fits(&self.route.path)
     }
 
     /// Goes on from `progress`, which [`Learned::fits`].

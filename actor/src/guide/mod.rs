@@ -11,6 +11,7 @@ pub use learned::{Learned, Progress};
 
 use crate::worker::ActorError;
 use trestle_proto::acting::Acting;
+use trestle_proto::batch::Tally;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::Stream;
 
@@ -59,6 +60,14 @@ impl Guide {
     pub fn finish(&mut self, said: bool) {
         if let Self::Learned(guide) = self {
             guide.finish(said);
+        }
+    }
+
+    /// What the guide has done since it was asked last.
+    pub fn take_tally(&mut self) -> Tally {
+        match self {
+            Self::Known(_) => Tally::default(),
+            Self::Learned(guide) => guide.take_tally(),
         }
     }
 

@@ -4,7 +4,6 @@
 
 use super::goal::Goal;
 use crate::similarity::{Hit, Similarity};
-use std::ops::RangeInclusive;
 use trestle_proto::NONE;
 use trestle_proto::waypoints::Waypoints;
 
@@ -16,8 +15,7 @@ pub struct MentorPath {
     index: Similarity,
     /// The way covered from the beginning of its trajectory to each state.
     length: Vec<f32>,
-    /// The first and the last state of each state's trajectory.
-    first: Vec<u32>,
+    /// The last state of each state's trajectory.
     end: Vec<u32>,
 }
 
@@ -29,11 +27,11 @@ impl MentorPath {
         waypoints.states.chunks_exact(dim).for_each(|state| goal.place(state, &mut places));
         let place = |m: usize| &places[m * goal.dim()..][..goal.dim()];
         let count = waypoints.transition_of.len();
-        let (mut length, mut first, mut end) = (vec![0.0; count], vec![0; count], vec![0; count]);
+        let (mut length, mut end) = (vec![0.0; count], vec![0; count]);
         for m in 1..count {
-            let begins = waypoints.transition_of[m - 1] == NONE;
-            first[m] = if begins { m as u32 } else { first[m - 1] };
-            length[m] = if begins { 0.0 } else { length[m - 1] + distance(place(m - 1), place(m)) };
+            if waypoints.transition_of[m - 1] != NONE {
+                length[m] = length[m - 1] + distance(place(m - 1), place(m));
+            }
         }
         for m in (0..count).rev() {
             let last = waypoints.transition_of[m] == NONE || m + 1 == count;
@@ -41,7 +39,7 @@ impl MentorPath {
         }
         // KL with unit variances is half the squared distance.
         let index = Similarity::new(places, goal.dim(), 0.5 * radius * radius);
-        Self { dim, states: waypoints.states.clone(), index, length, first, end }
+        Self { dim, states: waypoints.states.clone(), index, length, end }
     }
 
     /// Number of mentor states.
@@ -67,11 +65,6 @@ impl MentorPath {
     /// The last state of `m`'s trajectory.
     pub fn end(&self, m: usize) -> usize {
         self.end[m] as usize
-    }
-
-    /// The states of `m`'s trajectory.
-    pub fn trajectory(&self, m: usize) -> RangeInclusive<usize> {
-        self.first[m] as usize..=self.end(m)
     }
 
     /// Share of its trajectory's way that is covered at mentor state `m`, 0 to 1; 1 at the end of one that goes nowhere.

@@ -10,7 +10,7 @@ use trestle_proto::rng::{Purpose, stream};
 use trestle_proto::space::EnvSpec;
 use trestle_qnet::{AdamConfig, Layout, PlanError, init, kernels_of, network_of};
 
-/// The radius where it is automatic, in median steps of the mentor: the neighbours of a cell, and those across its corners.
+/// The radius where it is automatic, in strides: the neighbours of a cell, and those across its corners.
 const RADIUS: f64 = 1.5;
 /// The window, likewise.
 const WINDOW: f64 = 8.0;
@@ -58,8 +58,10 @@ pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) ->
         let (found, env) = (features.clone(), spec.name.clone());
         return Err(LearnedError::Features { found, env, last: dim - 1 });
     }
-    let stride = median_step(features, spec, mentor)
+    let median = median_step(features, spec, mentor)
         .ok_or_else(|| LearnedError::Still { features: features.clone() })?;
+    // A slow mentor must not make the goals so near that any step passes them.
+    let stride = median.max(1.0);
     for (length, strides) in
         [(&mut learned.radius, RADIUS), (&mut learned.window, WINDOW), (&mut learned.lookahead, LOOKAHEAD)]
     {
@@ -117,4 +119,70 @@ pub fn hindsight_of(plan: &RunPlan) -> Result<Option<Hindsight>, PlanError> {
     };
     let rng = stream(seed, Purpose::PolicyReplay, 0);
     Ok(Some(Hindsight::new(goal, layout, params, config, rng, kernels_of(plan)?)))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// States of a position, in units of 2, and its velocity.
+    fn spec() -> EnvSpec {
+        EnvSpec {
+            name: "line".into(),
+            low: vec![-99.0; 2],
+            high: vec![99.0; 2],
+            scale: vec![2.0, 1.0],
+            integral: false,
+            velocities: vec![1],
+            actions: vec!["a".into(), "b".into()],
+            best_return: None,
+            goal_bonus: 0.0,
+            defines_success: true,
+            categories: Vec::new(),
+            threshold: None,
+        }
+    }
+
+    fn mentor(trajectories: &[&[f32]]) -> Demonstration {
+        let mut mentor = Demonstration::new(vec!["x".into(), "v".into()]).unwrap();
+        for positions in trajectories {
+            let states: Vec<f32> = positions.iter().flat_map(|&x| [x, 7.0 * x]).collect();
+            mentor.push_trajectory(&states, true).unwrap();
+        }
+        mentor
+    }
+
+    fn resolved(mut learned: Learned, mentor: &Demonstration) -> Result<Learned, LearnedError> {
+        resolve(&mut learned, &spec(), mentor).map(|()| learned)
+    }
+
+    #[test]
+    fn automatic_lengths_follow_the_mentor_unless_it_is_slow() {
+        // Steps of 3, 4 and 5 units and one that leads nowhere; the way between trajectories is none.
+        let fast = resolved(Learned::default(), &mentor(&[&[0.0, 6.0, 6.0, 14.0], &[90.0, 80.0]])).unwrap();
+        assert_eq!(fast.features, [0]);
+        assert_eq!((fast.radius, fast.window, fast.lookahead), (6.0, 32.0, 12.0));
+        let slow = resolved(Learned::default(), &mentor(&[&[0.0, 0.5, 1.0]])).unwrap();
+        assert_eq!((slow.radius, slow.window, slow.lookahead), (1.5, 8.0, 3.0));
+        let given = Learned { radius: 0.25, features: vec![0, 1], ..Learned::default() };
+        let kept = resolved(given, &mentor(&[&[0.0, 6.0]])).unwrap();
+        assert_eq!((kept.radius, kept.features), (0.25, vec![0, 1]));
+        assert!(kept.lookahead > 100.0, "the velocity counts as well");
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_by_name() {
+        let still = resolved(Learned::default(), &mentor(&[&[3.0, 3.0]])).unwrap_err().to_string();
+        assert!(still.contains("no step of the demonstration changes the features [0]"), "{still}");
+        for features in [vec![2], vec![1, 0], vec![0, 0]] {
+            let learned = Learned { features, ..Learned::default() };
+            let error = resolved(learned.clone(), &mentor(&[&[0.0, 6.0]])).unwrap_err();
+            assert!(error.to_string().contains("accepted for line: one or more of 0 to 1"), "{error}");
+            assert_eq!(
+                error,
+                LearnedError::Features { found: learned.features, env: "line".into(), last: 1 }
+            );
+        }
+    }
 }

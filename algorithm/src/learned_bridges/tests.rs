@@ -11,13 +11,11 @@ use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use trestle_proto::NONE;
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
-use trestle_proto::config::FrontierKind;
 use trestle_proto::rng::Stream;
 use trestle_proto::waypoints::Waypoints;
 use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, forward, init};
 
-const PACE: Pace =
-    Pace { window: 10.0, lookahead: 1.0, gate: true, frontier: FrontierKind::Pinned, patience: 2 };
+const PACE: Pace = Pace { window: 10.0, lookahead: 1.0, gate: true, idle: 0, roam: 0 };
 
 /// States of a position and a velocity, each from -8 to 8; goals are positions, in units of 2.
 fn goal() -> Goal {
@@ -141,7 +139,7 @@ proptest! {
         let waypoints = waypoints(&lengths, &places);
         let path = MentorPath::new(&waypoints, 2, &goal(), radius);
         let pace = Pace { window, lookahead: ahead, ..PACE };
-        let mut tracker = Tracker::new(&path, &pace);
+        let mut tracker = Tracker::default();
         tracker.begin(&pace, 0.0);
         let mut naive: Option<usize> = None;
         let trajectory_of: Vec<usize> =
@@ -153,8 +151,7 @@ proptest! {
         };
         for &x in &walk {
             let place = f32::from(x) / 2.0;
-            tracker.step();
-            tracker.observe(&path, &pace, &[place], &mut Vec::new(), &mut Vec::new());
+            tracker.follow(&path, &pace, &[place], &mut Vec::new(), &mut Vec::new());
             let near: Vec<usize> = (0..trajectory_of.len())
                 .filter(|&m| (place_of(m) - place) * (place_of(m) - place) <= radius * radius)
                 .collect();
@@ -211,17 +208,18 @@ fn waypoints(lengths: &[usize], places: &[i8]) -> Waypoints {
 fn a_guide_that_gets_stuck_is_used_less() {
     let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.5);
     let pace = PACE;
-    let mut tracker = Tracker::new(&path, &pace);
+    let mut tracker = Tracker::default();
     let mut episode = |places: &[f32], success: bool, u: f64| {
         tracker.begin(&pace, u);
         for (at, place) in places.iter().enumerate() {
-            if at > 0 {
-                tracker.step();
+            let (mut stack, mut hits) = (Vec::new(), Vec::new());
+            match at {
+                0 => tracker.observe(&path, &pace, &[*place], &mut stack, &mut hits),
+                _ => tracker.follow(&path, &pace, &[*place], &mut stack, &mut hits),
             }
-            tracker.observe(&path, &pace, &[*place], &mut Vec::new(), &mut Vec::new());
         }
         let seen = (tracker.guided(), tracker.furthest(), tracker.is_stuck(success));
-        tracker.finish(&path, &pace, success);
+        tracker.finish(success);
         (seen, tracker.stuck())
     };
     // It stays at the second state of five.
@@ -237,51 +235,27 @@ fn a_guide_that_gets_stuck_is_used_less() {
     assert_eq!(episode(&[3.0, 4.0, 3.0, 3.0, 3.0], false, 0.0), ((true, 1.0, false), 0));
 }
 
-/// Where the guide aims at the end of an episode over `places`, which then ends without success.
-fn aim(tracker: &mut Tracker, path: &MentorPath, pace: &Pace, places: &[f32]) -> Option<usize> {
-    tracker.begin(pace, 0.0);
-    for (at, place) in places.iter().enumerate() {
-        if at > 0 {
-            tracker.step();
-        }
-        tracker.observe(path, pace, &[*place], &mut Vec::new(), &mut Vec::new());
-    }
-    let goal = tracker.goal(path, pace);
-    tracker.finish(path, pace, false);
-    goal
-}
-
 #[test]
-fn a_guide_lets_go_where_it_does_not_get_on() {
-    let path = MentorPath::new(&waypoints(&[9], &[0, 2, 4, 6, 8, 10, 12, 14, 16]), 2, &goal(), 0.4);
-    let pinned = Pace { gate: false, ..PACE };
-    let release = Pace { frontier: FrontierKind::Release, ..pinned };
-    let skip = Pace { frontier: FrontierKind::Skip, ..pinned };
-    let ends = |pace: &Pace, episodes: &[&[f32]]| -> Vec<Option<usize>> {
-        let mut tracker = Tracker::new(&path, pace);
-        let goals = episodes.iter().map(|places| aim(&mut tracker, &path, pace, places)).collect();
-        assert!(tracker.fits(&path, pace));
-        goals
-    };
-    let (stuck, before, past): (&[f32], &[f32], &[f32]) = (&[0.0, 1.0, 2.0], &[0.0, 1.0], &[0.0, 1.0, 4.0]);
-    // Failures at state 2 and no others: after two of them it is a frontier, and stays one.
-    assert_eq!(ends(&pinned, &[stuck; 5]), [Some(3); 5]);
-    assert_eq!(ends(&release, &[stuck; 5]), [Some(3), Some(3), None, None, None]);
-    // Before it the guide leads on, and a jump over it is coming to it, too.
-    assert_eq!(ends(&release, &[stuck, stuck, before, past]), [Some(3), Some(3), Some(2), None]);
-    // An episode that got two states further has passed it; one that got one further has not.
-    assert_eq!(ends(&release, &[stuck, past, stuck, stuck]), [Some(3), Some(5), Some(3), Some(3)]);
-    let next: &[f32] = &[0.0, 1.0, 2.0, 3.0];
-    assert_eq!(ends(&release, &[stuck, next, stuck, stuck]), [Some(3), Some(4), Some(3), None]);
-    // With twice as many failures the goal moves on by a state for every two of them.
-    let aims = [Some(3), Some(3), None, None, Some(4), Some(4), Some(5)];
-    assert_eq!(ends(&skip, &[stuck; 7]), aims);
-    // Beyond the frontier and a lookahead it is as near as ever.
-    let beyond: &[f32] = &[0.0, 1.0, 2.0, 4.0];
-    assert_eq!(
-        ends(&skip, &[stuck, stuck, stuck, stuck, before, beyond, stuck])[4..],
-        [Some(2), Some(5), Some(3)]
-    );
+fn a_guide_lets_go_for_a_while_where_it_does_not_get_on() {
+    let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.4);
+    let pace = Pace { idle: 3, roam: 2, ..PACE };
+    let mut tracker = Tracker::default();
+    tracker.begin(&pace, 0.0);
+    let (mut stack, mut hits) = (Vec::new(), Vec::new());
+    tracker.observe(&path, &pace, &[0.0], &mut stack, &mut hits);
+    let mut goals = vec![tracker.goal(&path, &pace)];
+    for place in [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0] {
+        tracker.follow(&path, &pace, &[place], &mut stack, &mut hits);
+        goals.push(tracker.goal(&path, &pace));
+    }
+    let (led, free) = (Some(2), None);
+    // Three steps after it came to the second state it lets go for two, and so on, whether or not it gets on meanwhile.
+    assert_eq!(goals[..10], [Some(1), led, led, led, free, free, led, led, led, free]);
+    assert_eq!(goals[10..], [free, led, led, led]);
+    let never = Pace { idle: 0, ..pace };
+    tracker.begin(&never, 0.0);
+    (0..99).for_each(|_| tracker.follow(&path, &never, &[1.0], &mut stack, &mut hits));
+    assert_eq!(tracker.goal(&path, &never), led);
 }
 
 /// The policy finds out which way an action leads, and a restored one goes on alike.

@@ -12,7 +12,7 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::regular_file;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 7;
+pub const FORMAT: u32 = 8;
 /// The oldest layout whose policy can be read. Runs go on from checkpoints of the present layout alone.
 const OLDEST: u32 = 4;
 /// A file that formats up to 6 had with `run.lag = 1`.

@@ -77,6 +77,8 @@ pub struct Gauges {
     pub mentors: Vec<MentorGauges>,
     /// Share of the samples of gradient steps whose loss is the mentor's, 0 to 1.
     pub mentor_loss_frac: f64,
+    /// What learned bridges do, with them.
+    pub guide: Option<GuideGauges>,
     /// Transitions in the replay.
     pub replay_size: u64,
     /// Share of the wall clock spent waiting for other processes, 0 to 1.
@@ -114,6 +116,23 @@ pub struct MentorGauges {
     pub visited_frac: f64,
 }
 
+/// What the loop knows of learned bridges. NaN as in [`Gauges`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuideGauges {
+    /// Share of the environment steps that took an action of theirs, since the last interval, 0 to 1.
+    pub steps_frac: f64,
+    /// Mean furthest share of the mentor's path over the episodes that ended since the last interval, 0 to 1.
+    pub progress_mean: f64,
+    /// Guided episodes that have ended since the run began.
+    pub guided_episodes: u64,
+    /// Those of them that got stuck.
+    pub stuck_episodes: u64,
+    /// Mean loss of their policy since the last interval, nats.
+    pub loss: f64,
+    /// Return of the newest evaluation's episode that followed their policy alone.
+    pub total_reward: f64,
+}
+
 impl Default for Gauges {
     /// Nothing known.
     fn default() -> Self {
@@ -128,6 +147,7 @@ impl Default for Gauges {
             searches_cut_short: f64::NAN,
             mentors: Vec::new(),
             mentor_loss_frac: f64::NAN,
+            guide: None,
             replay_size: 0,
             ipc_wait_frac: f64::NAN,
             wait_actors_frac: f64::NAN,
@@ -230,6 +250,14 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
         row.real(key("visited_frac"), mentor.visited_frac);
     }
     row.real("loss/mentor_frac", gauges.mentor_loss_frac);
+    if let Some(guide) = &gauges.guide {
+        row.real("guide/steps_frac", guide.steps_frac);
+        row.real("guide/progress_mean", guide.progress_mean);
+        row.count("guide/guided_episodes", guide.guided_episodes);
+        row.count("guide/stuck_episodes", guide.stuck_episodes);
+        row.real("guide/loss", guide.loss);
+        row.real("guide/return", guide.total_reward);
+    }
     row.count("replay/size", gauges.replay_size);
     row.real("ipc/wait_frac", gauges.ipc_wait_frac);
     row.real("ipc/wait_actors_frac", gauges.wait_actors_frac);

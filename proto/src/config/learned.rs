@@ -3,7 +3,7 @@
 use super::accepts::{above, any, at_least, between, list};
 use super::learner::MAX_HIDDEN;
 use crate::limits::{MAX_HORIZON, MAX_WIDTH};
-use crate::{choices, settings};
+use crate::settings;
 
 settings! {
     /// `[mentor.learned]`, for `exploration.guide = "learned"`. Lengths are Euclidean in the chosen features, each in units of the
@@ -20,29 +20,18 @@ settings! {
         horizon: usize = 6, between(1, MAX_HORIZON);
         /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: all that are no velocities.
         features: Vec<usize> = Vec::new(), any("features of the environment, each once, in ascending order");
-        /// How near to a mentor state the observer counts as being there. 0: one and a half of the mentor's median step.
+        /// How near to a mentor state the observer counts as being there. 0: one and a half strides. A stride is the
+        /// mentor's median step, or one unit if that is longer.
         radius: f64 = 0.0, at_least(0.0);
-        /// How far along the path, either way from the last place, the next one is looked for. 0: eight median steps.
+        /// How far along the path, either way from the last place, the next one is looked for. 0: eight strides.
         window: f64 = 0.0, at_least(0.0);
-        /// How far ahead along the path the goal lies. 0: three median steps.
+        /// How far ahead along the path the goal lies. 0: three strides.
         lookahead: f64 = 0.0, at_least(0.0);
         /// Whether an episode is guided with probability 1 / (1 + k) after k guided ones in a row that got stuck; else each is.
         gate: bool = true;
-        /// What the guide does where guided episodes do not get on.
-        frontier: FrontierKind = FrontierKind::Release;
-        /// Guided episodes that came to a mentor state and no further, after which it is a frontier.
-        patience: u32 = 5, at_least(1);
-    }
-}
-
-choices! {
-    /// What the guide does where guided episodes do not get on.
-    pub enum FrontierKind {
-        /// It leads on, whether or not anything comes of it.
-        Pinned = "pinned",
-        /// It lets go for the rest of the episode.
-        Release = "release",
-        /// It lets go, and after as many further episodes it aims beyond: for each `patience` of them one `lookahead` further.
-        Skip = "skip",
+        /// Steps of an episode without progress after which the guide lets go. 0: it never does.
+        idle: u64 = 40;
+        /// Steps for which it lets go then.
+        roam: u64 = 50;
     }
 }

@@ -31,7 +31,7 @@ pub use environment::{EncodingKind, Env, SHARED};
 pub use environments::{Environments, declared};
 pub use error::{ConfigError, refuse};
 pub use hazard::{Hazard, HazardKind, HazardScope};
-pub use learned::{FrontierKind, Learned};
+pub use learned::Learned;
 pub use learner::{Backend, Exploration, GuideKind, Learner, LossKind, TargetKind};
 pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{

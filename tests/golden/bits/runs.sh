@@ -101,6 +101,14 @@ all() {
     both point-guided-random "${point[@]}" --algo ha-diiqn --seed 4 --set exploration.guide_start=0.5 \
         --set env.reset=random
     killed
+    local trestle=(--algo trestle --set exploration.guide_start=0.9)
+    run trestle "${small[@]}" "${trestle[@]}" --seed 14
+    local many=("${small[@]}" "${trestle[@]}" "${onehot[@]}" --seed 15 --actors 3 --set run.lag=1)
+    run trestle-lag "${many[@]}"
+    run trestle-reference "${many[@]}" --mode reference
+    run learned-guide "${small[@]}" --algo ha-diiqn --seed 16 --set exploration.guide=learned \
+        --set exploration.guide_end=0.9 --set mentor.learned.idle=7 --set mentor.learned.gate=false
+    run point-trestle "${point[@]}" "${trestle[@]}" --seed 6 --actors 2 --set learner.n_step=5
 }
 
 all >"$work/runs.csv"

@@ -32,6 +32,7 @@ fn there_are_none() {
     for sets in [
         &["run.algo=dqn"] as &[&str],
         &["run.algo=dqn", "learner.loss=squared", "learner.target=hard", "learner.target_every=1"],
+        &["run.algo=trestle", "mentor.learned.features=[0]", "learner.n_step=3"],
         &["run.algo=diiqn", "learner.double=true", "learner.max_grad_norm=10"],
         &["run.algo=ha-diiqn", "mentor.selection=min-distance"],
         &["run.algo=ha-diiqn", "mentor.selection=confidence", "learner.hidden=[5, 33, 17]"],
