@@ -27,7 +27,6 @@ use tokio::task::{JoinSet, LocalSet};
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
-use trestle_report::stats::mean;
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
@@ -206,7 +205,8 @@ impl Sweep {
         let mut paces = vec![None; self.arms.len()];
         for (at, outcome) in outcomes.iter().enumerate() {
             if let Some(Outcome::Complete(result)) = outcome {
-                paces[self.kind(at)].get_or_insert_with(Pace::default).ended(result.wall_s);
+                let steps = most_steps(&self.jobs[at].config);
+                paces[self.kind(at)].get_or_insert_with(Pace::default).ended(result.wall_s, steps);
             }
         }
         paces
@@ -235,10 +235,7 @@ impl Sweep {
             match running.join_next().await {
                 None => return paces,
                 Some(Ok((at, Ok(rate)))) => {
-                    let kind = self.kind(at);
-                    let alike = queue.iter().filter(|&&other| self.kind(other) == kind);
-                    let steps: Vec<f64> = alike.map(|&at| most_steps(&self.jobs[at].config)).collect();
-                    paces[kind] = Some(Pace::new(mean(&steps), rate));
+                    paces[self.kind(at)] = Some(Pace::new(rate));
                 }
                 Some(Ok((at, Err(error)))) => {
                     tracing::debug!("a probe of {} failed: {error:#}", self.jobs[at].dir.display());

@@ -1,6 +1,6 @@
 //! What the user sees of a sweep: a line a run that goes on and one for all on a terminal, plain lines elsewhere.
 
-use super::estimate::{Pace, duration, is_measured, seconds_left};
+use super::estimate::{Left, Pace, duration, is_measured, most_steps, seconds_left};
 use super::{Outcome, Sweep};
 use crate::screen::{Line, Part, Screen, bar, fit};
 use crate::supervise::display::Display;
@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 pub(super) struct Progress<'a> {
     sweep: &'a Sweep,
     /// The pace of each kind, where it is known, and its runs that have not ended; empty if nothing is shown.
-    paces: Vec<(Option<Pace>, usize)>,
+    paces: Vec<(Option<Pace>, Left)>,
     done: usize,
     to_do: usize,
     /// A terminal, and the line for all runs.
@@ -18,7 +18,13 @@ pub(super) struct Progress<'a> {
 
 impl<'a> Progress<'a> {
     pub(super) fn new(sweep: &'a Sweep, paces: Vec<Option<Pace>>, queue: &VecDeque<usize>) -> Self {
-        let left = |kind| queue.iter().filter(|&&at| sweep.kind(at) == kind).count();
+        let left = |kind| {
+            let alike = queue.iter().filter(|&&at| sweep.kind(at) == kind);
+            alike.fold(Left::default(), |left, &at| Left {
+                runs: left.runs + 1,
+                steps: left.steps + most_steps(&sweep.jobs[at].config),
+            })
+        };
         let paces: Vec<_> = paces.into_iter().enumerate().map(|(kind, pace)| (pace, left(kind))).collect();
         let terminal = (!sweep.quiet).then(Screen::new).flatten().map(|screen| {
             let total = screen.line(false);
@@ -53,7 +59,7 @@ impl<'a> Progress<'a> {
             });
         }
         for (kind, (pace, left)) in self.paces.iter().enumerate() {
-            if pace.is_none() && *left > 0 {
+            if pace.is_none() && left.runs > 0 {
                 let arms = self.sweep.arms.iter().zip(&self.sweep.kinds);
                 let alike: Vec<&str> =
                     arms.filter(|(_, of)| **of == kind).map(|(arm, _)| arm.as_str()).collect();
@@ -79,9 +85,10 @@ impl<'a> Progress<'a> {
     pub(super) fn ended(&mut self, at: usize, seconds: f64, outcome: &Outcome) {
         self.done += 1;
         if let Some((pace, left)) = self.paces.get_mut(self.sweep.kind(at)) {
-            *left = left.saturating_sub(1);
+            let steps = most_steps(&self.sweep.jobs[at].config);
+            (left.runs, left.steps) = (left.runs.saturating_sub(1), (left.steps - steps).max(0.0));
             if matches!(outcome, Outcome::Complete(_)) {
-                pace.get_or_insert_default().ended(seconds);
+                pace.get_or_insert_default().ended(seconds, steps);
             }
         }
         let name = self.sweep.name(at);

@@ -131,14 +131,19 @@ pub(crate) fn place(name: &str) -> (&str, &str) {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::configuration;
     use super::*;
+    use crate::flags::Limits;
+    use crate::prepare::resolve;
     use trestle_proto::config::Algo;
 
     #[test]
     fn every_arm_meets_every_task() {
-        let suite =
-            Suite::load("choosing", &["point-maze/*8x8*".into(), "mazes-one-hot/halls-16x16-*".into()])
-                .unwrap();
+        let suite = Suite::load(
+            "choosing",
+            &["point-maze/labyrinth-9x9-2102-*".into(), "mazes-one-hot/halls-16x16-*".into()],
+        )
+        .unwrap();
         let arms = suite.arms(&[Arm::plain(Algo::Dqn), "x:learner.lr=0.5".parse().unwrap()]);
         let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
         assert_eq!(names.len(), 6);
@@ -147,6 +152,20 @@ mod tests {
         assert_eq!(place(names[1]), ("mazes-one-hot", "x"));
         let error = Suite::load("choosing", &["nothing*".into()]).err().unwrap().to_string();
         assert!(error.contains("--tasks nothing* fits no task of the set choosing"), "{error}");
+    }
+
+    /// As a sweep does before it begins.
+    #[test]
+    fn every_task_of_every_set_could_be_run() {
+        for name in ["choosing", "reporting"] {
+            let dir = tempfile::tempdir().unwrap();
+            let suite = Suite::load(name, &[]).unwrap();
+            suite.write(dir.path()).unwrap();
+            for arm in suite.arms(&[Arm::plain(Algo::HaDiiqn)]) {
+                let config = configuration(SUITE, &[], Limits::default(), &arm, 0, dir.path()).unwrap();
+                resolve(config).unwrap_or_else(|error| panic!("{}: {error:#}", arm.name));
+            }
+        }
     }
 
     #[test]
@@ -160,6 +179,6 @@ mod tests {
         assert!(demo_file::read(&file).unwrap().n_transitions() > 10);
         let commands = fs::read_to_string(dir.path().join("tasks.txt")).unwrap();
         let demo = format!("--set mentor.demo={}", file.display());
-        assert!(commands.contains(&demo) && commands.contains("--set run.env_steps=150000"), "{commands}");
+        assert!(commands.contains(&demo) && commands.contains("--set run.env_steps=200000"), "{commands}");
     }
 }

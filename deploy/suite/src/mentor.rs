@@ -222,7 +222,9 @@ fn through_another(
         let other = Map::parse(&name, &map_text(&name)?).map_err(GridError::from)?;
         let Some(path) = Paths::new(&other, set).shortest(Ties::Hugging, rng) else { continue };
         let walls = path.iter().filter(|&&cell| !map.is_free(cell)).count();
-        if walls > 0 && 2 * walls < path.len() {
+        // A path that fits with its axes swapped would be taken for a mistake.
+        let swapped = path.iter().all(|&[column, row]| map.is_free([row, column]));
+        if walls > 0 && 2 * walls < path.len() && !swapped {
             return Ok(path);
         }
     }
