@@ -25,7 +25,7 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             if let Some(best) = spec.best_return {
                 outln!("  best return    {best:.2}");
             }
-            if let Some(threshold) = resolved.config.eval.threshold {
+            if let Some(threshold) = resolved.config.eval.threshold.or(resolved.spec.threshold) {
                 outln!("  threshold      {threshold:.2}");
             }
             if let Some(mentors) = &resolved.mentors {

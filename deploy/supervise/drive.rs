@@ -152,10 +152,12 @@ impl Watch<'_, '_> {
             child.running = false;
             fault = child.fault.take();
         }
+        // No other process ends like this of itself: code of others may have ended it.
         if let How::Exited(status) = how
+            && role == Role::Learner
             && status.success()
         {
-            return (role == Role::Learner).then_some((Event::Left, Matter::None));
+            return Some((Event::Left, Matter::None));
         }
         let death = self.replacing.death(role, fault.map_or(how, How::Lingering));
         let event = match death.is_consequence() {

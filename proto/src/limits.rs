@@ -44,7 +44,10 @@ pub const TRANSITIONS_BUFFER: usize = 64;
 /// Replies that may wait for the learner, each actor.
 pub const REPLIES_BUFFER: usize = 8;
 
-/// How long a process waits at its start for the others to answer its hello.
+/// How long a process waits at its start for the others to answer its hello. An environment may take minutes to be imported;
+/// a process that dies or hangs meanwhile is its supervisor's concern.
+pub const ASSEMBLY: Duration = Duration::from_secs(1800);
+/// How long a message may wait for a receiver that is known to be there.
 pub const HANDSHAKE: Duration = Duration::from_secs(30);
 /// How often an unanswered hello is repeated.
 pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);

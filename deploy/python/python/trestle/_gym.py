@@ -30,7 +30,7 @@ _MAX_INPUTS = 4096
 
 def name_of(settings: Settings) -> str:
     """The environment's name for people."""
-    return settings["id"] or settings["make"]
+    return str(settings["id"] or settings["make"])
 
 
 def _attribute(path: str, key: str) -> Any:
@@ -55,6 +55,7 @@ def _attribute(path: str, key: str) -> Any:
 def make(settings: Settings) -> gymnasium.Env[Any, Any]:
     """Make the environment of ``settings``, in its wrappers."""
     kwargs = dict(settings["kwargs"])
+    env: gymnasium.Env[Any, Any]
     if settings["make"]:
         env = _attribute(settings["make"], "env.gym.make")(**kwargs)
     else:
@@ -63,7 +64,7 @@ def make(settings: Settings) -> gymnasium.Env[Any, Any]:
         kwargs.setdefault("disable_env_checker", True)
         try:
             env = gymnasium.make(settings["id"], **kwargs)
-        except gymnasium.error.UnregisteredEnv as error:
+        except gymnasium.error.Error as error:
             raise Refused(f"env.gym.id = {settings['id']}: {error}; accepted: an id that Gymnasium has") from error
         except ModuleNotFoundError as error:
             raise Refused(f"env.gym.id = {settings['id']}: {error}") from error
@@ -71,7 +72,9 @@ def make(settings: Settings) -> gymnasium.Env[Any, Any]:
         env = _attribute(wrapper, "env.gym.wrappers")(env)
     for method in ("reset", "step", "close", "action_space", "observation_space"):
         if not hasattr(env, method):
-            raise Refused(f"{name_of(settings)} is {type(env).__name__} without `{method}`; accepted: an environment of Gymnasium's")
+            raise Refused(
+                f"{name_of(settings)} is {type(env).__name__} without `{method}`; accepted: an environment of Gymnasium's"
+            )
     return env
 
 
@@ -90,9 +93,7 @@ class _Parts:
         self.integral: list[bool] = []
         self.layout = self._add(space, "")
         if len(self.names) > _trestle.MAX_FEATURES:
-            raise Refused(
-                f"the observation space has {len(self.names)} features; accepted: 1 to {_trestle.MAX_FEATURES}"
-            )
+            raise Refused(f"the observation space has {len(self.names)} features; accepted: 1 to {_trestle.MAX_FEATURES}")
 
     def _feature(self, name: str, low: float, high: float, *, category: bool = False, integral: bool) -> None:
         if category:
@@ -115,7 +116,7 @@ class _Parts:
         for index in np.ndindex(*shape):
             at = ",".join(map(str, index))
             # One value is no choice.
-            choice = category and highs[index] > lows[index]
+            choice = category and bool(highs[index] > lows[index])
             self._feature(
                 f"{name}[{at}]" if name else at or "0",
                 float(lows[index]),
@@ -131,9 +132,7 @@ class _Parts:
 
         match space:
             case spaces.Box():
-                if space.dtype is None or not (
-                    np.issubdtype(space.dtype, np.number) or np.issubdtype(space.dtype, np.bool_)
-                ):
+                if space.dtype is None or not (np.issubdtype(space.dtype, np.number) or np.issubdtype(space.dtype, np.bool_)):
                     raise Refused(f"an observation of {_shown(space)}; accepted: numbers")
                 return self._array(name, space, space.low, space.high, False)
             case spaces.Discrete():
@@ -147,8 +146,8 @@ class _Parts:
             case spaces.MultiBinary():
                 return self._array(name, space, 0, 1, False)
             case spaces.MultiDiscrete():
-                start = np.asarray(getattr(space, "start", np.zeros_like(space.nvec)))
-                return self._array(name, space, start, start + space.nvec - 1, True)
+                first = np.asarray(getattr(space, "start", np.zeros_like(space.nvec)))
+                return self._array(name, space, first, first + space.nvec - 1, True)
             case spaces.Tuple():
                 return {"kind": "tuple", "spaces": [self._add(part, below(i)) for i, part in enumerate(space.spaces)]}
             case spaces.Dict():
@@ -194,7 +193,9 @@ def flattening(
 
 
 def _too_many(n: int, space: spaces.Space[Any]) -> Refused:
-    return Refused(f"an action space of {_shown(space)} has {n} actions; accepted: 2 to {_trestle.MAX_ACTIONS}, or fewer by env.gym.bins")
+    return Refused(
+        f"an action space of {_shown(space)} has {n} actions; accepted: 2 to {_trestle.MAX_ACTIONS}, or fewer by env.gym.bins"
+    )
 
 
 def _actions(env: gymnasium.Env[Any, Any], settings: Settings) -> dict[str, Any]:
@@ -351,7 +352,9 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
 
     places = _picked(settings["features"], parts.names, "env.gym.features", parts=True)
     if not places:
-        raise Refused(f"an observation of {_shown(env.observation_space)} has no features; accepted: 1 to {_trestle.MAX_FEATURES}")
+        raise Refused(
+            f"an observation of {_shown(env.observation_space)} has no features; accepted: 1 to {_trestle.MAX_FEATURES}"
+        )
     scale = settings["scale"]
     if scale and len(scale) != len(places):
         raise Refused(f"env.gym.scale has {len(scale)} numbers; accepted: {len(places)}, one for each feature")
@@ -375,7 +378,9 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
     categories = [i for i, place in enumerate(places) if place in set(parts.categories)]
     inputs = len(places) + sum(int(ranges[i][1] - ranges[i][0]) for i in categories)
     if inputs > _MAX_INPUTS:
-        raise Refused(f"the observation gives the network {inputs} inputs; accepted: up to {_MAX_INPUTS}, or fewer by env.gym.features")
+        raise Refused(
+            f"the observation gives the network {inputs} inputs; accepted: up to {_MAX_INPUTS}, or fewer by env.gym.features"
+        )
     return {
         "version": _trestle.VERSION,
         "build": _trestle.BUILD,
@@ -451,7 +456,9 @@ def _scales(
     warnings = []
     if still:
         shown = ", ".join(still[:8]) + (", ..." if len(still) > 8 else "")
-        warnings.append(f"features without bounds that never changed in the warm-up: {shown}; env.gym.scale or a longer env.gym.warmup_steps would scale them")
+        warnings.append(
+            f"features without bounds that never changed in the warm-up: {shown}; env.gym.scale or a longer env.gym.warmup_steps would scale them"
+        )
     return bounds, ranges, steps, warnings
 
 

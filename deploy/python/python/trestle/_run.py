@@ -238,9 +238,7 @@ def _toml(value: Any) -> str:
     raise TypeError(f"an override is {value!r}; accepted: booleans, numbers, texts, lists and dicts of them")
 
 
-def _carry_out(
-    args: list[str], path: Path, callback: Callable[[Progress], object] | None, quiet: bool
-) -> None:
+def _carry_out(args: list[str], path: Path, callback: Callable[[Progress], object] | None, quiet: bool) -> None:
     command = [sys.executable, "-m", "trestle", *args, *(["--quiet"] if quiet else [])]
     with tempfile.TemporaryFile() as said:
         # In a group of its own: Ctrl-C reaches this process alone, and is passed on once.
@@ -273,7 +271,7 @@ def _carry_out(
             return
         said.seek(max(0, said.seek(0, os.SEEK_END) - _MAX_SAID))
         text = said.read().decode(errors="replace").strip()
-        text = re.sub(r"^error: ", "", text.removeprefix("\n"), flags=re.M)
+        text = re.sub(r"^error: ", "", text.removeprefix("\n"), flags=re.MULTILINE)
         raise TrainingError(text or f"the training ended with status {status}")
 
 

@@ -31,7 +31,7 @@ class Encode(torch.nn.Module):
 
 def module(encoding: dict[str, Any], layers: list[tuple[int, int, list[float], list[float]]]) -> torch.nn.Module:
     """The network of ``layers``, behind its ``encoding``."""
-    ((kind, parts),) = encoding.items()
+    (parts,) = encoding.values()
     low = parts["low"]
     high = parts.get("high", [value + 1.0 for value in low])
     stack: list[torch.nn.Module] = [Encode(low, high, parts.get("sizes", [0] * len(low)))]

@@ -14,7 +14,7 @@ use iceoryx2::prelude::AllocationStrategy;
 use std::time::{Duration, Instant};
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
-use trestle_proto::limits::{HANDSHAKE, HELLO_INTERVAL};
+use trestle_proto::limits::{ASSEMBLY, HELLO_INTERVAL};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Reply, ReplyHeader};
@@ -119,11 +119,11 @@ impl ActorLink for IceoryxActor {
                 return Err(LinkError::Interrupted("the learner"));
             }
             // In free mode the learner may be busy for long.
-            if !self.services.sizes.replaces && start.elapsed() > HANDSHAKE {
+            if !self.services.sizes.replaces && start.elapsed() > ASSEMBLY {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
-                    waited_ms: HANDSHAKE.as_millis(),
+                    waited_ms: ASSEMBLY.as_millis(),
                 });
             }
             pulse::step();

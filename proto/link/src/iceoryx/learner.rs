@@ -14,7 +14,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use std::time::{Duration, Instant};
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
-use trestle_proto::limits::{HANDSHAKE, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
+use trestle_proto::limits::{ASSEMBLY, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
@@ -279,7 +279,7 @@ impl LearnerLink for IceoryxLearner {
             return self.let_in(missing, Duration::MAX, stop);
         }
         missing.extend(0..self.services.sizes.actors);
-        self.let_in(missing, HANDSHAKE, stop)
+        self.let_in(missing, ASSEMBLY, stop)
     }
 
     fn mentor_waits(&self) -> bool {

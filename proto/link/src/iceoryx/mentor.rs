@@ -9,7 +9,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::AllocationStrategy;
 use std::time::{Duration, Instant};
-use trestle_proto::limits::{HANDSHAKE, HELLO_INTERVAL};
+use trestle_proto::limits::{ASSEMBLY, HELLO_INTERVAL};
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{MALFORMED, NOT_READY, QueryAnswer, QueryRequest};
@@ -151,11 +151,11 @@ impl MentorLink for IceoryxMentor {
                 return Err(LinkError::Interrupted("the learner"));
             }
             // In free mode the learner may be busy for long.
-            if !self.services.sizes.replaces && start.elapsed() > HANDSHAKE {
+            if !self.services.sizes.replaces && start.elapsed() > ASSEMBLY {
                 return Err(LinkError::Deadline {
                     peer: "learner".into(),
                     what: "hello",
-                    waited_ms: HANDSHAKE.as_millis(),
+                    waited_ms: ASSEMBLY.as_millis(),
                 });
             }
             pulse::step();

@@ -1,0 +1,116 @@
+"""Spaces, choices of features and actions, and refusals, by ``config check``; and a run in each kind of space."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conftest import Trestle, sets
+
+
+def check(trestle: Trestle, id: str = "", *, ok: bool = True, **own: Any) -> str:
+    """What ``config check`` says of an environment with the settings ``own``."""
+    settings = {"run.algo": "dqn"} | {f"env.gym.{key}": value for key, value in own.items()}
+    done = trestle("config", "check", f"gym:{id}" if id else "gym", *sets(settings), ok=ok)
+    return done.stdout if ok else done.stderr
+
+
+@pytest.mark.parametrize(
+    ("observation", "features"),
+    [
+        ("box", 6),
+        ("bytes", 4),
+        ("bools", 3),
+        ("unbounded", 2),
+        ("discrete", 1),
+        ("binary", 3),
+        ("multi", 2),
+        ("tuple", 3),
+        ("dict", 3),
+    ],
+)
+def test_observations_of_every_space_are_accepted(trestle: Trestle, observation: str, features: int) -> None:
+    said = check(trestle, make="envs:Spaces", kwargs=f"{{observation='{observation}'}}")
+    assert f"{features} features, actions 2 3 4" in said
+
+
+@pytest.mark.parametrize(
+    ("action", "own", "names"),
+    [
+        ("discrete", {}, "2 3 4"),
+        ("discrete", {"actions": "[2, '2']"}, "4 2"),
+        ("multi", {}, "0,0 0,1 0,2 1,0 1,1 1,2"),
+        ("binary", {}, "0,0 0,1 1,0 1,1"),
+        ("box", {"bins": "[2]"}, "-2,-2 -2,2 2,-2 2,2"),
+        ("box", {"bins": "[3, 2]", "actions": "['0,2', '-2,2']"}, "0,2 -2,2"),
+    ],
+)
+def test_actions_of_every_space_are_enumerated(trestle: Trestle, action: str, own: dict[str, str], names: str) -> None:
+    assert f"actions {names}\n" in check(trestle, make="envs:Spaces", kwargs=f"{{action='{action}'}}", **own)
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ({"make": "envs:Spaces", "kwargs": "{observation='text'}"}, ["Text(", "accepted: Box, Discrete, MultiBinary"]),
+        ({"make": "envs:Spaces", "kwargs": "{observation='huge'}"}, ["10000 features; accepted: up to 4096"]),
+        ({"make": "envs:Spaces", "kwargs": "{action='million'}"}, ["Discrete(1000000)", "1000000 actions; accepted: 2 to 1024"]),
+        ({"make": "envs:Spaces", "kwargs": "{action='tuple'}"}, ["accepted: Discrete, MultiDiscrete, MultiBinary, or Box"]),
+        ({"make": "envs:Spaces", "kwargs": "{action='box'}"}, ["env.gym.bins = []; accepted for Box", "2 dimensions"]),
+        ({"make": "envs:Spaces", "kwargs": "{action='box'}", "bins": "[40]"}, ["1600 actions; accepted: 2 to 1024"]),
+        ({"make": "envs:Line", "bins": "[3]"}, ["env.gym.bins = [3]", "actions are not continuous"]),
+        ({"make": "envs:Line", "actions": "[7]"}, ["env.gym.actions = 7; accepted: 0 to 1, or a name: 0, 1"]),
+        ({"make": "envs:Line", "actions": "[1]"}, ["has 1 actions; accepted: 2 to 1024"]),
+        ({"make": "envs:Line", "features": "['x']"}, ["env.gym.features = x; accepted: 0 to 0, or a name: 0"]),
+        ({"make": "envs:Line", "scale": "[1.0, 2.0]"}, ["env.gym.scale has 2 numbers; accepted: 1"]),
+        ({"make": "envs:Gone"}, ["env.gym.make = envs:Gone", "accepted: a name in envs"]),
+        ({"make": "gone:Gone"}, ["env.gym.make = gone:Gone", "accepted: a module that"]),
+        ({"make": "envs"}, ["env.gym.make = envs; accepted: module:name"]),
+        ({"make": "envs:Line", "kwargs": "{speed=1}"}, ["envs:Line: ", "unexpected keyword argument 'speed'"]),
+        (
+            {"make": "envs:Moody"},
+            ["envs:Moody is not deterministic: with the same seed and actions the observation after 0 steps differs"],
+        ),
+        ({"id": "No-Such-v0"}, ["env.gym.id = No-Such-v0", "accepted: an id that Gymnasium has"]),
+        ({"make": "os:getcwd"}, ["os:getcwd is str without `reset`"]),
+    ],
+)
+def test_what_cannot_be_used_is_refused(trestle: Trestle, own: dict[str, str], words: list[str]) -> None:
+    said = check(trestle, ok=False, **own)
+    assert said.startswith("error: ") and all(word in said for word in words), said
+
+
+def test_a_refused_run_leaves_nothing(trestle: Trestle, tmp_path: Path) -> None:
+    trestle("train", "gym:No-Such-v0", "--algo", "dqn", "--out", "run", ok=False)
+    assert not (tmp_path / "run").exists()
+
+
+def test_everything_is_found_once_and_written_down(trestle: Trestle, tmp_path: Path) -> None:
+    settings = {
+        "env.gym.make": "envs:Spaces",
+        "env.gym.kwargs": "{observation='dict', action='multi'}",
+        "env.gym.wrappers": "['envs:Half']",
+        "env.gym.features": "['a', 'b']",
+    }
+    trestle("train", "gym", "--algo", "dqn", "--env-steps", 600, "--out", "run", *sets(settings))
+    config = tomllib.loads((tmp_path / "run/config.toml").read_text())
+    found = json.loads(config["env"]["gym"]["found"])
+    features = found["features"]
+    assert features["names"] == ["a[0]", "a[1]", "b"]
+    assert (features["places"], features["categories"]) == ([0, 1, 2], [2])
+    assert features["range"] == [[-1.0, 1.0], [-1.0, 1.0], [0.0, 2.0]]
+    assert found["actions"]["values"][4] == [1, 1]
+    # 8 steps of 1/2 each.
+    returns = (tmp_path / "run/evals.csv").read_text().splitlines()[-1].split(",")
+    assert "4.0" in returns or "4" in returns
+
+
+def test_thresholds_come_from_the_registry(trestle: Trestle) -> None:
+    said = trestle("config", "check", "gym:CartPole-v1", "--set", "run.algo=dqn").stdout
+    assert "4 features, actions 0 1" in said and "threshold      475.00" in said
+    said = trestle("config", "check", "gym:CartPole-v1", "--set", "run.algo=dqn", "--set", "eval.threshold=100.0").stdout
+    assert "threshold      100.00" in said

@@ -1,0 +1,78 @@
+"""Runs repeat bit by bit: with several actors, after a kill, and when they go on later."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from conftest import Trestle, sets
+
+IDS = ["CartPole-v1", "MountainCar-v0", "Acrobot-v1", "FrozenLake-v1", "Taxi-v4"]
+
+
+def sha(run: Path) -> str:
+    """The hash of the run's last weights."""
+    return str(json.loads((run / "result.json").read_text())["weights_sha256"])
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_runs_repeat_and_go_on_exactly(trestle: Trestle, tmp_path: Path, id: str) -> None:
+    if id in ("FrozenLake-v1", "Taxi-v4"):
+        pytest.importorskip("gymnasium.envs.toy_text")
+    settings = sets({"env.step_limit": 120, "checkpoint.every_env_steps": 500, "eval.every": 5})
+    three = ["--algo", "dqn", "--actors", "3", *settings]
+    trestle("train", f"gym:{id}", "--env-steps", 2496, "--out", "whole", *three)
+    trestle("train", f"gym:{id}", "--env-steps", 960, "--out", "parts", *three)
+    trestle("resume", "parts", "--env-steps", 2496)
+    trestle("train", f"gym:{id}", "--env-steps", 2496, "--out", "one", "--mode", "reference", *three)
+    assert sha(tmp_path / "whole") == sha(tmp_path / "parts") == sha(tmp_path / "one")
+
+
+def test_a_killed_actor_changes_nothing(trestle: Trestle, tmp_path: Path) -> None:
+    settings = sets({"checkpoint.every_env_steps": 1000})
+    args = ["train", "gym:CartPole-v1", "--algo", "dqn", "--env-steps", "20000", *settings]
+    trestle(*args, "--out", "whole")
+    command = [sys.executable, "-m", "trestle", *args, "--out", "killed"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as training:
+        actor = "\x00".join(["actor", "--index", "0", "--run", "killed"])
+        checkpoints = tmp_path / "killed/checkpoints"
+        while training.poll() is None and not list(checkpoints.glob("*/COMPLETE")):
+            time.sleep(0.01)
+        victims = [
+            int(process.name)
+            for process in Path("/proc").iterdir()
+            if process.name.isdigit() and actor in _command(process) and _parent(process) == training.pid
+        ]
+        assert len(victims) == 1
+        os.kill(victims[0], signal.SIGKILL)
+        assert training.wait(120) == 0
+    assert json.loads((tmp_path / "killed/result.json").read_text())["restarts"] == 1
+    assert sha(tmp_path / "killed") == sha(tmp_path / "whole")
+
+
+def _command(process: Path) -> str:
+    try:
+        return (process / "cmdline").read_text()
+    except OSError:
+        return ""
+
+
+def _parent(process: Path) -> int:
+    try:
+        return int((process / "stat").read_text().rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+
+def test_an_environment_that_does_not_repeat_runs_if_it_may(trestle: Trestle, tmp_path: Path) -> None:
+    settings = sets({"env.gym.make": "envs:Moody", "env.gym.nondeterministic": "true"})
+    done = trestle("train", "gym", "--algo", "dqn", "--env-steps", 640, "--out", "run", *settings)
+    assert "warning: envs:Moody is not deterministic" in done.stderr
+    trestle("resume", "run", "--env-steps", 1280)
