@@ -16,6 +16,8 @@ use serde::Serialize;
 
 /// A ratio above this is a loss.
 pub const LOSS: f64 = 1.1;
+/// Where the interval of a ratio reaches above this without a loss, the task is in doubt.
+pub const DOUBT: f64 = 1.25;
 /// Multiples of the baseline's median at which a profile has points, as powers of two: from and to.
 const PROFILE: [f64; 2] = [-6.0, 3.0];
 /// Points of a profile for each power of two.
@@ -114,6 +116,8 @@ pub struct Total {
     pub faster: usize,
     /// Tasks on which the arm loses.
     pub losses: usize,
+    /// Tasks without a loss whose interval reaches above [`DOUBT`]: too few runs to tell.
+    pub doubtful: usize,
     /// The largest ratio of a task.
     pub worst: f64,
 }
@@ -262,6 +266,7 @@ fn total(group: Option<&str>, arm: &str, pairs: &[&Pair<'_>], ratios: &[&Ratio])
         baseline_solved_share: all(&theirs),
         faster: ratios.iter().filter(|ratio| ratio.ratio.mid < 1.0).count(),
         losses: ratios.iter().filter(|ratio| ratio.loss).count(),
+        doubtful: ratios.iter().filter(|ratio| !ratio.loss && ratio.ratio.high > DOUBT).count(),
         worst: ratios.iter().map(|ratio| ratio.ratio.mid).fold(0.0, f64::max),
     }
 }
@@ -339,7 +344,7 @@ mod tests {
         // Always before on the first task; on the second (80 before both, never against 90, a tie): 2.5 of 4.
         assert!((total.improvement.mid - (1.0 + 2.5 / 4.0) / 2.0).abs() < 1e-12);
         assert_eq!((total.solved_share.mid, total.baseline_solved_share.mid), (0.75, 0.75));
-        assert_eq!((total.tasks, total.faster, total.losses), (2, 2, 0));
+        assert_eq!((total.tasks, total.faster, total.losses, total.doubtful), (2, 2, 0, 0));
         assert!((total.worst - 90.0 / 95.0).abs() < 1e-12);
     }
 

@@ -1,7 +1,7 @@
 //! The page: everything in one file, for light and dark screens and for paper.
 
 use crate::effect::Effect;
-use crate::over_tasks::{LOSS, Overview, Ratio};
+use crate::over_tasks::{DOUBT, LOSS, Overview, Ratio};
 use crate::stats::Estimate;
 use crate::summary::{ArmSummary, Comparison, Time};
 use std::fmt::Write;
@@ -102,16 +102,17 @@ fn totals_table(body: &mut String, overview: &Overview) {
         "<h2>Over tasks, compared with {baseline}</h2>\n<p class=\"faint\">Times are environment steps until solved, over {baseline}'s \
          on the same task. A run that was not solved counts as if it had been with the last step of its budget. So the ratio of a \
          task on which {baseline} was not solved is too high (&le;), and that of a task on which only the arm was not solved is too \
-         low (&ge;), and a loss. Other losses are ratios above {LOSS}.</p>\n<div class=\"wide\"><table>\n<tr><th>tasks</th>\
+         low (&ge;), and a loss. Other losses are ratios above {LOSS}. In \
+         doubt are tasks without a loss whose interval reaches above {DOUBT}.</p>\n<div class=\"wide\"><table>\n<tr><th>tasks</th>\
          <th class=\"name\">arm</th><th>number</th><th>geometric mean<br>of ratios</th><th>interquartile mean<br>over runs</th>\
          <th>probability of<br>fewer steps</th><th>share of runs<br>solved</th><th>{baseline}'s</th><th>faster on</th><th>losses</th>\
-         <th>largest ratio</th></tr>"
+         <th>in doubt</th><th>largest ratio</th></tr>"
     );
     for total in &overview.totals {
         let _ = writeln!(
             body,
             "<tr><td>{}</td><td class=\"name\">{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
-             <td>{}</td><td>{:.2}</td></tr>",
+             <td>{}</td><td>{}</td><td>{:.2}</td></tr>",
             escape(total.group.as_deref().unwrap_or("all")),
             escape(&total.arm),
             total.tasks,
@@ -122,6 +123,7 @@ fn totals_table(body: &mut String, overview: &Overview) {
             interval(total.baseline_solved_share, 2, "-"),
             total.faster,
             total.losses,
+            total.doubtful,
             total.worst,
         );
     }

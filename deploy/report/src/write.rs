@@ -628,6 +628,7 @@ struct TotalRow<'a> {
     baseline_solved_share: f64,
     faster: usize,
     losses: usize,
+    doubtful: usize,
     worst: f64,
 }
 
@@ -675,6 +676,7 @@ fn between_tasks(output: &mut Output<'_>, overview: &Overview, names: &[&str]) -
             baseline_solved_share: t.baseline_solved_share.mid,
             faster: t.faster,
             losses: t.losses,
+            doubtful: t.doubtful,
             worst: t.worst,
         }),
     )?;
