@@ -19,13 +19,13 @@ pub(crate) struct Arm {
     pub(crate) sets: Vec<String>,
     /// With a suite: what it is trained on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) task: Option<Ground>,
+    pub(crate) task: Option<OnTask>,
 }
 
 /// What an arm of a suite is trained on, beneath the settings of the sweep and its own.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Ground {
+pub(crate) struct OnTask {
     /// The preset, in the place of the sweep's configuration.
     pub(crate) preset: String,
     /// `key=value`.

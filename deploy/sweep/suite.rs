@@ -1,6 +1,6 @@
 //! A sweep over the tasks of a suite: every arm on every task, each with its own map, mentor and budget.
 
-use super::arms::{Arm, Ground};
+use super::arms::{Arm, OnTask};
 use crate::prepare::quoted;
 use anyhow::{Context, Result, ensure};
 use std::collections::BTreeMap;
@@ -48,7 +48,7 @@ impl Suite {
         let on = |task: &Task, arm: &Arm| Arm {
             name: format!("{}/{}", task.id, arm.name),
             sets: arm.sets.clone(),
-            task: Some(Ground {
+            task: Some(OnTask {
                 preset: task.preset.clone(),
                 sets: self.set.settings(task),
                 demonstration: demonstration(task),
