@@ -35,3 +35,4 @@ mod suite;
 mod sweep;
 mod train;
 mod versions;
+mod watch;

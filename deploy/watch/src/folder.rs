@@ -344,13 +344,14 @@ impl Summary {
             evals: stamp(EVALS_FILE),
             locked,
         };
-        let settled = matches!(self.state, State::Finished | State::Failed);
+        let settled = !matches!(self.state, State::Nothing | State::Starting | State::Running);
         if settled && self.seen == Some(seen) && self.records.share() >= 1.0 {
             return;
         }
         if self.seen.is_none_or(|before| before.config != seen.config || before.result != seen.result) {
             self.facts = Facts::read(dir);
-            self.facts.actions = Vec::new();
+            // There may be thousands of runs.
+            (self.facts.actions, self.facts.command) = (Vec::new(), String::new());
         }
         if self.seen.is_none_or(|before| before.result != seen.result) {
             self.result = facts::result(dir);
