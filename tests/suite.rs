@@ -79,7 +79,7 @@ fn a_suite_is_run_interrupted_resumed_and_reported() {
         [Some("bad"), Some("small"), None]
     );
     let page = fs::read_to_string(root.join("report/report.html")).unwrap();
-    assert!(page.contains("<h2>Losses</h2>") && page.contains("Performance profiles over all tasks"));
+    assert!(page.contains("<h3>Losses</h3>") && page.contains("Performance profiles over all tasks"));
     let rows = fs::read_to_string(root.join("report/data/over-tasks-ratios.csv")).unwrap();
     assert_eq!(rows.lines().count(), 3, "{rows}");
 }

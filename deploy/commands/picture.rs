@@ -13,7 +13,7 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 use trestle_report::film::gif;
 use trestle_report::maze::Maze;
-use trestle_report::plot::png;
+use trestle_report::plot::{View, png};
 
 /// The kinds of files that can be written.
 const KINDS: [&str; 3] = ["gif", "png", "svg"];
@@ -58,8 +58,8 @@ pub(super) fn write(dir: &RunDir, plan: &RunPlan, path: &[f32], out: &Path, kind
     };
     let bytes = match kind {
         "gif" => gif(&maze)?,
-        "png" => png(&maze.paths_svg()?)?,
-        _ => maze.paths_svg()?.into_bytes(),
+        "png" => png(&maze.paths_svg(View::Paper)?)?,
+        _ => maze.paths_svg(View::Paper)?.into_bytes(),
     };
     fs::write(out, bytes).with_context(|| format!("cannot write {}", out.display()))
 }

@@ -1,7 +1,7 @@
 //! An episode in motion: an animated GIF of a maze in which a dot walks the learnt path and leaves it behind as a line.
 
 use crate::maze::{LEARNT, Maze, Place};
-use crate::plot::{PlotError, raster};
+use crate::plot::{PlotError, View, raster};
 use gif::{Encoder, Frame, Repeat};
 use resvg::tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, Pixmap, Stroke, Transform};
 use std::collections::BTreeMap;
@@ -25,7 +25,7 @@ type Rgb = [u8; 3];
 /// Those of the drawing library, or a picture that is too large for the format.
 pub fn gif(maze: &Maze) -> Result<Vec<u8>, PlotError> {
     let still = Maze { path: Vec::new(), ..maze.clone() };
-    let mut trail = raster(&still.paths_svg()?, 1.0)?;
+    let mut trail = raster(&still.paths_svg(View::Paper)?, 1.0)?;
     let stride = maze.path.len().div_ceil(MAX_FRAMES).max(1);
     let last = maze.path.len().saturating_sub(1);
     let points: Vec<(f32, f32)> = maze
@@ -68,7 +68,7 @@ pub fn gif(maze: &Maze) -> Result<Vec<u8>, PlotError> {
 }
 
 fn pixel(maze: &Maze, place: Place) -> (f32, f32) {
-    let (x, y) = maze.pixel(place);
+    let (x, y) = maze.pixel(View::Paper, place);
     (x as f32, y as f32)
 }
 

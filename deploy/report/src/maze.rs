@@ -1,7 +1,7 @@
 //! Pictures of a maze, of cells or with a ball in it: the mentor's path with the observer's findings about each step, the
 //! learnt path, the visits to each cell, and the value of each cell.
 
-use crate::plot::{Area, GRID, INK, PAPER, PlotError, svg, text};
+use crate::plot::{Area, INK, PAPER, PlotError, View, svg, text};
 use plotters::element::{Circle, PathElement, Rectangle};
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, RGBColor, ShapeStyle};
@@ -56,10 +56,30 @@ pub struct Maze {
     pub values: Vec<f64>,
 }
 
-/// Left and top of the map on its picture, and the width of the legend beside it.
+/// Left of the map on its picture, and the width of the legend beside it.
 const LEFT: i32 = 16;
-const TOP: i32 = 56;
 const LEGEND: i32 = 216;
+/// Height of what is below the map on a page.
+const BELOW: i32 = 120;
+
+/// How a picture is laid out: pixels of the map's longer side, about, where it begins, and the size of letters.
+struct Layout {
+    longest: usize,
+    top: i32,
+    letters: u32,
+}
+
+/// Heading above the map, legend beside it.
+const ON_PAPER: Layout = Layout { longest: 504, top: 56, letters: 12 };
+/// Legend below the map.
+const ON_PAGE: Layout = Layout { longest: 368, top: 8, letters: 18 };
+
+fn layout(view: View) -> &'static Layout {
+    match view {
+        View::Paper => &ON_PAPER,
+        View::Page => &ON_PAGE,
+    }
+}
 /// Dark to light, even steps to the eye and to the colour-blind: seven colours of "viridis" (van der Walt and Smith 2015).
 const SHADES: [[f64; 3]; 7] = [
     [68.0, 1.0, 84.0],
@@ -87,8 +107,8 @@ impl Maze {
     ///
     /// # Errors
     /// Those of the drawing library.
-    pub fn paths_svg(&self) -> Result<String, PlotError> {
-        self.svg("the mentor's path and the learnt one", |picture| {
+    pub fn paths_svg(&self, view: View) -> Result<String, PlotError> {
+        self.svg(view, "the mentor's path and the learnt one", |picture| {
             picture.walls(INK)?;
             picture.mentor()?;
             picture.learnt()?;
@@ -102,14 +122,15 @@ impl Maze {
     ///
     /// # Errors
     /// Those of the drawing library.
-    pub fn visits_svg(&self) -> Option<Result<String, PlotError>> {
+    pub fn visits_svg(&self, view: View) -> Option<Result<String, PlotError>> {
         let most = self.visits.iter().copied().fold(f64::NAN, f64::max);
         (most > 0.0).then(|| {
             let share =
                 |visits: f64| if visits > 0.0 { (1.0 + visits).ln() / (1.0 + most).ln() } else { f64::NAN };
             let middle = (1.0 + most).sqrt() - 1.0;
             self.heat(
-                "visits in the stored transitions (logarithmic)",
+                view,
+                ["visits in the stored transitions (logarithmic)", "visits"],
                 &self.visits,
                 share,
                 [0.0, middle.round(), most],
@@ -121,21 +142,17 @@ impl Maze {
     ///
     /// # Errors
     /// Those of the drawing library.
-    pub fn values_svg(&self) -> Option<Result<String, PlotError>> {
+    pub fn values_svg(&self, view: View) -> Option<Result<String, PlotError>> {
         let free = || self.values.iter().enumerate().filter(|(at, _)| !self.in_wall(*at)).map(|(_, v)| *v);
         let (low, high) = (free().fold(f64::NAN, f64::min), free().fold(f64::NAN, f64::max));
         (high > low).then(|| {
             let share = |value: f64| (value - low) / (high - low);
-            self.heat(
-                if self.fine > 1 {
-                    "value: the largest Q at rest"
-                } else {
-                    "value: the largest Q of each cell"
-                },
-                &self.values,
-                share,
-                [low, (low + high) / 2.0, high],
-            )
+            let what = if self.fine > 1 {
+                "value: the largest Q at rest"
+            } else {
+                "value: the largest Q of each cell"
+            };
+            self.heat(view, [what, "Q"], &self.values, share, [low, (low + high) / 2.0, high])
         })
     }
 
@@ -151,27 +168,28 @@ impl Maze {
         self.walls[row * self.size[0] + column]
     }
 
-    /// Side of a cell, pixels: some five hundred for the longer side of the map.
-    fn side(&self) -> i32 {
-        (504 / self.size[0].max(self.size[1]).max(1)).clamp(4, 48) as i32 / 4 * 4
+    /// Side of a cell, pixels.
+    fn side(&self, view: View) -> i32 {
+        (layout(view).longest / self.size[0].max(self.size[1]).max(1)).clamp(4, 48) as i32 / 4 * 4
     }
 
     /// Where `place` is on the picture, pixels from its left and top.
-    pub(crate) fn pixel(&self, place: Place) -> (i32, i32) {
-        let side = f64::from(self.side());
+    pub(crate) fn pixel(&self, view: View, place: Place) -> (i32, i32) {
+        let side = f64::from(self.side(view));
         let [x, y] = place.map(|at| ((at + 0.5) * side).round() as i32);
-        (LEFT + x, TOP + y)
+        (LEFT + x, layout(view).top + y)
     }
 
-    /// A map of `numbers`, coloured by their `share` (NaN: left blank); `marks` are written at its scale.
+    /// A map of `numbers`, coloured by their `share` (NaN: left blank); `marks` are written at its scale, which is in `unit`.
     fn heat(
         &self,
-        what: &str,
+        view: View,
+        [what, unit]: [&str; 2],
         numbers: &[f64],
         share: impl Fn(f64) -> f64,
         marks: [f64; 3],
     ) -> Result<String, PlotError> {
-        self.svg(what, |picture| {
+        self.svg(view, what, |picture| {
             for (index, &number) in numbers.iter().enumerate() {
                 let share = share(number);
                 if share.is_finite() && !self.in_wall(index) {
@@ -180,24 +198,31 @@ impl Maze {
             }
             picture.walls(WALL)?;
             picture.ends()?;
-            picture.scale(marks)
+            picture.scale(unit, marks)
         })
     }
 
     fn svg(
         &self,
+        view: View,
         what: &str,
         draw: impl FnOnce(&Picture<'_, '_>) -> Result<(), PlotError>,
     ) -> Result<String, PlotError> {
-        let side = self.side();
+        let side = self.side(view);
+        let Layout { top, .. } = *layout(view);
         let [width, height] = self.size.map(|n| n as i32 * side);
-        let size = [LEFT + width + LEGEND, (TOP + height + 16).max(TOP + 200)];
+        let size = match view {
+            View::Paper => [LEFT + width + LEGEND, (top + height + 16).max(top + 200)],
+            View::Page => [(2 * LEFT + width).max(320), top + height + BELOW],
+        };
         svg(size.map(|n| n as u32), |area| {
-            let picture = Picture { area, maze: self, side };
-            picture.say(&self.title, 16, HPos::Left, (LEFT, 10))?;
-            picture.say(what, 11, HPos::Left, (LEFT, 32))?;
+            let picture = Picture { area, maze: self, view, side, top };
+            if view == View::Paper {
+                picture.say(&self.title, 16, HPos::Left, (LEFT, 10))?;
+                picture.say(what, 12, HPos::Left, (LEFT, 32))?;
+            }
             draw(&picture)?;
-            picture.frame([(LEFT, TOP), (LEFT + width, TOP + height)])
+            picture.frame([(LEFT, top), (LEFT + width, top + height)])
         })
     }
 }
@@ -206,7 +231,10 @@ impl Maze {
 struct Picture<'a, 'b> {
     area: &'a Area<'b>,
     maze: &'a Maze,
+    view: View,
     side: i32,
+    /// Where the map begins.
+    top: i32,
 }
 
 impl Picture<'_, '_> {
@@ -227,13 +255,13 @@ impl Picture<'_, '_> {
     }
 
     fn point(&self, place: Place) -> (i32, i32) {
-        self.maze.pixel(place)
+        self.maze.pixel(self.view, place)
     }
 
     /// Fills a square, of which `fine` make up a cell's side.
     fn square(&self, [column, row]: [usize; 2], fine: usize, color: RGBColor) -> Result<(), PlotError> {
         let side = self.side / fine as i32;
-        let (x, y) = (LEFT + column as i32 * side, TOP + row as i32 * side);
+        let (x, y) = (LEFT + column as i32 * side, self.top + row as i32 * side);
         let corners = [(x, y), (x + side, y + side)];
         self.area.draw(&Rectangle::new(corners, color.filled())).map_err(PlotError::draw)
     }
@@ -263,48 +291,77 @@ impl Picture<'_, '_> {
     fn ends(&self) -> Result<(), PlotError> {
         for (place, letter) in self.maze.ends.into_iter().zip(["S", "G"]) {
             let (x, y) = self.point(place);
-            let radius = (self.side / 2).clamp(6, 12);
+            let radius = (self.side / 2).clamp(9, 13);
             self.dot((x, y), radius, PAPER.filled())?;
             self.dot((x, y), radius, INK.stroke_width(1))?;
-            let style = text(self.side.clamp(10, 14) as u32, HPos::Center, VPos::Center);
+            let letters = layout(self.view).letters;
+            let style = text((self.side as u32).clamp(letters, letters + 2), HPos::Center, VPos::Center);
             self.area.draw_text(letter, &style, (x, y)).map_err(PlotError::draw)?;
         }
         Ok(())
     }
 
-    /// Left end of the column beside the map.
-    fn beside(&self) -> i32 {
-        LEFT + self.maze.size[0] as i32 * self.side + 16
+    /// Left and top of what is beside the map, or below it.
+    fn beside(&self) -> (i32, i32) {
+        let [width, height] = self.maze.size.map(|n| n as i32 * self.side);
+        match self.view {
+            View::Paper => (LEFT + width + 16, self.top + 8),
+            View::Page => (LEFT, self.top + height + 16),
+        }
     }
 
     fn legend(&self, steps: &[(RGBColor, &str)]) -> Result<(), PlotError> {
-        let x = self.beside();
-        for (index, (color, name)) in steps.iter().chain([&(LEARNT, "learnt path (greedy)")]).enumerate() {
-            let y = TOP + 8 + 22 * index as i32;
+        let (x, top) = self.beside();
+        let learnt = [(LEARNT, "learnt path (greedy)")];
+        // Without a mentor there are no steps to be explained.
+        let steps = if self.maze.mentor.is_empty() { &[][..] } else { steps };
+        for (index, (color, name)) in steps.iter().chain(&learnt).enumerate() {
+            let y = top + (layout(self.view).letters as i32 + 10) * index as i32;
             self.path(vec![(x, y), (x + 26, y)], color.stroke_width(3))?;
-            self.say(name, 12, HPos::Left, (x + 34, y - 6))?;
+            self.say(
+                name,
+                layout(self.view).letters,
+                HPos::Left,
+                (x + 34, y - layout(self.view).letters as i32 / 2),
+            )?;
         }
         Ok(())
     }
 
-    /// The colours from low to high with three numbers.
-    fn scale(&self, marks: [f64; 3]) -> Result<(), PlotError> {
-        const HEIGHT: i32 = 160;
-        let (x, bottom) = (self.beside(), TOP + 8 + HEIGHT);
-        for step in 0..HEIGHT / 2 {
-            let y = bottom - 2 * step;
-            let color = shade(f64::from(2 * step) / f64::from(HEIGHT));
-            self.area
-                .draw(&Rectangle::new([(x, y - 2), (x + 18, y)], color.filled()))
-                .map_err(PlotError::draw)?;
+    /// The colours from low to high with three numbers and what they are.
+    fn scale(&self, unit: &str, marks: [f64; 3]) -> Result<(), PlotError> {
+        const LENGTH: i32 = 160;
+        let (x, top) = self.beside();
+        let letters = layout(self.view).letters;
+        let fill = |corners, style: ShapeStyle| {
+            self.area.draw(&Rectangle::new(corners, style)).map_err(PlotError::draw)
+        };
+        self.say(unit, letters, HPos::Left, (x, top - 8))?;
+        let (left, bottom) = (x, top + 18 + LENGTH);
+        for step in (0..LENGTH).step_by(2) {
+            let color = shade(f64::from(step) / f64::from(LENGTH)).filled();
+            match self.view {
+                View::Paper => fill([(left, bottom - step - 2), (left + 18, bottom - step)], color)?,
+                View::Page => fill([(left + 2 * step, top + 16), (left + 2 * step + 4, top + 34)], color)?,
+            }
         }
-        self.area
-            .draw(&Rectangle::new([(x, bottom - HEIGHT), (x + 18, bottom)], GRID.stroke_width(1)))
-            .map_err(PlotError::draw)?;
         for (index, mark) in marks.into_iter().enumerate() {
             let decimals = if mark.abs() >= 100.0 || mark.fract() == 0.0 { 0 } else { 2 };
-            let y = bottom - HEIGHT / 2 * index as i32;
-            self.say(&format!("{mark:.decimals$}"), 12, HPos::Left, (x + 26, y - 6))?;
+            let words = format!("{mark:.decimals$}");
+            let along = LENGTH / 2 * index as i32;
+            match self.view {
+                View::Paper => {
+                    let y = bottom - along;
+                    self.path(vec![(left + 18, y), (left + 23, y)], INK.stroke_width(1))?;
+                    self.say(&words, letters, HPos::Left, (left + 28, y - 6))?;
+                }
+                View::Page => {
+                    let at = left + 2 * along;
+                    let place = [HPos::Left, HPos::Center, HPos::Right][index];
+                    self.path(vec![(at, top + 34), (at, top + 39)], INK.stroke_width(1))?;
+                    self.say(&words, letters, place, (at, top + 42))?;
+                }
+            }
         }
         Ok(())
     }
@@ -335,21 +392,21 @@ mod tests {
     #[test]
     fn each_picture_shows_what_is_known() {
         let maze = maze();
-        let paths = maze.paths_svg().unwrap();
+        let paths = maze.paths_svg(View::Paper).unwrap();
         assert!(paths.contains("mentor&apos;s step, bridged") || paths.contains("mentor's step, bridged"));
-        let visits = maze.visits_svg().unwrap().unwrap();
+        let visits = maze.visits_svg(View::Paper).unwrap().unwrap();
         assert!(visits.contains("visits in the stored transitions") && !visits.contains("1.45"));
         // The wall's value is no part of the scale.
-        let values = maze.values_svg().unwrap().unwrap();
+        let values = maze.values_svg(View::Paper).unwrap().unwrap();
         assert!(values.contains("0.50") && !values.contains("99.00"));
         // Four squares a cell: the squares of the second cell are a wall's.
         let values =
             (0..24).map(|at| if [2, 3, 8, 9].contains(&at) { 99.0 } else { f64::from(at) }).collect();
-        let fine = Maze { fine: 2, values, ..maze.clone() }.values_svg().unwrap().unwrap();
+        let fine = Maze { fine: 2, values, ..maze.clone() }.values_svg(View::Page).unwrap().unwrap();
         let says = |words: &str| fine.lines().any(|line| line == words);
         assert!(says("0") && says("23") && !says("99"), "{fine}");
         let unknown = Maze { visits: Vec::new(), values: Vec::new(), ..maze };
-        assert!(unknown.visits_svg().is_none() && unknown.values_svg().is_none());
+        assert!(unknown.visits_svg(View::Paper).is_none() && unknown.values_svg(View::Paper).is_none());
     }
 
     #[test]

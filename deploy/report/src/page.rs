@@ -2,16 +2,40 @@
 
 use crate::effect::Effect;
 use crate::over_tasks::{DOUBT, LOSS, Overview, Ratio};
+use crate::plot::swatch;
+use crate::read::Run;
 use crate::stats::Estimate;
 use crate::summary::{ArmSummary, Comparison, Time};
+use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
+use trestle_proto::config::{Config, Table, Value};
+
+/// What a picture is about. The page has these parts in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// Returns over the training.
+    Curves,
+    /// How long it took, and how many got there.
+    Times,
+    /// What became of the mentor's transitions.
+    Mentor,
+    /// Runs on their maps.
+    Maps,
+}
 
 /// A picture on the page.
 pub(crate) struct Figure {
-    /// Its description, which screen readers read out.
-    pub(crate) caption: String,
+    /// Its heading.
+    pub(crate) title: String,
+    /// The meaning of what is drawn.
+    pub(crate) note: String,
+    /// The name of its files, without their ends.
+    pub(crate) file: String,
     /// [`crate::plot::inline`].
     pub(crate) svg: String,
+    /// What it is about.
+    pub(crate) part: Part,
 }
 
 /// The pictures of a task, or of all of them together.
@@ -24,86 +48,267 @@ pub(crate) struct Section<'a> {
 
 /// The numbers of the tables.
 pub(crate) struct Tables<'a> {
+    /// All arms in the order of their colours.
+    pub(crate) names: &'a [&'a str],
     /// Each arm on each task.
     pub(crate) arms: &'a [ArmSummary],
     /// Each pair of arms on each task, and on all.
     pub(crate) comparisons: &'a [Comparison],
     /// All arms over all tasks, where there are several.
     pub(crate) overview: Option<&'a Overview>,
+    /// All runs.
+    pub(crate) runs: &'a [Run],
+    /// The directory that the page is in.
+    pub(crate) from: &'a Path,
 }
 
-const STYLE: &str = "
-:root { color-scheme: light dark; --paper: #fff; --ink: #1f2024; --faint: #5b5d66; --grid: #dcdde2; --back: #f6f6f8 }
-@media (prefers-color-scheme: dark) {
-  :root { --paper: #1a1b20; --ink: #e8e8ec; --faint: #a4a6b0; --grid: #3a3c45; --back: #121317 }
-}
-body { margin: 0 auto; max-width: 96rem; padding: 1.5rem; font: 15px/1.5 system-ui, sans-serif; color: var(--ink);
-  background: var(--back) }
-h1 { font-size: 1.6rem } h2 { font-size: 1.25rem; margin-top: 2.5rem }
-p, li { max-width: 60rem } .faint { color: var(--faint) }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .5rem 0 }
-th, td { padding: .25rem .75rem; border-bottom: 1px solid var(--grid); text-align: right; white-space: nowrap }
-th { font-weight: 600; vertical-align: bottom } td:first-child, th:first-child, td.name, th.name { text-align: left }
-.figures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 34rem), 1fr)); gap: 1rem }
-figure { margin: 0; padding: .5rem; background: var(--paper); border: 1px solid var(--grid); border-radius: 6px }
-figure svg { width: 100%; height: auto; display: block }
-figcaption { position: absolute; clip-path: inset(50%) }
-@media print { figure { break-inside: avoid } }
-";
+const STYLE: &str = include_str!("page.css");
 
 /// The whole page.
 pub(crate) fn page(title: &str, tables: &Tables<'_>, sections: &[Section<'_>], notes: &[String]) -> String {
     let title = escape(title);
-    let mut body = format!("<h1>{title}</h1>\n");
-    // Writing to a String cannot fail.
-    let _ = writeln!(
-        body,
-        "<p class=\"faint\">Medians and their ratios come with 95 % bootstrap intervals, shares with Wilson's. A run \
-         that was not solved counts as later than any that was: a median is \"not reached\" where that is so for half \
-         of the runs or more. Only runs that have run their whole length are counted; curves show all.</p>"
-    );
-    if let Some(overview) = tables.overview {
-        totals_table(&mut body, overview);
-        losses(&mut body, overview);
-        ratio_table(&mut body, overview);
+    let mut parts: Vec<(&str, String, String)> = Vec::new();
+    let curves = figures(sections, |part| part == Part::Curves);
+    if !curves.is_empty() {
+        parts.push(("curves", "Learning curves".into(), curves));
     }
-    arm_table(&mut body, tables.arms);
-    comparison_table(&mut body, tables.comparisons);
-    for section in sections {
-        let _ = writeln!(
-            body,
-            "<h2>{}</h2>\n<div class=\"figures\">",
-            escape(section.task.unwrap_or("All tasks"))
-        );
-        for figure in &section.figures {
-            let caption = escape(&figure.caption);
-            let _ = writeln!(body, "<figure>{}<figcaption>{caption}</figcaption></figure>", figure.svg);
+    if let Some(overview) = tables.overview {
+        let mut text = String::new();
+        totals_table(&mut text, overview);
+        losses(&mut text, overview);
+        ratio_table(&mut text, overview);
+        parts.push(("tasks", format!("Over tasks, compared with {}", escape(&overview.baseline)), text));
+    }
+    let mut text = String::new();
+    arm_table(&mut text, tables.arms, tables.names);
+    parts.push(("arms", "Arms".into(), text));
+    let mut text = String::new();
+    comparison_table(&mut text, tables.comparisons);
+    if !text.is_empty() {
+        parts.push(("comparisons", "Comparisons".into(), text));
+    }
+    for (part, id, heading) in [
+        (Part::Times, "times", "Times and shares"),
+        (Part::Mentor, "mentor", "The mentor's transitions"),
+        (Part::Maps, "maps", "On the map"),
+    ] {
+        let text = figures(sections, |of| of == part);
+        if !text.is_empty() {
+            parts.push((id, heading.into(), text));
         }
-        body.push_str("</div>\n");
+    }
+    parts.push(("runs", "Runs".into(), run_table(tables.runs, tables.from)));
+    let settings = settings_table(tables.runs, tables.names);
+    if !settings.is_empty() {
+        parts.push(("settings", "Settings".into(), settings));
     }
     if !notes.is_empty() {
-        body.push_str("<h2>What is missing</h2>\n<ul>\n");
-        notes.iter().for_each(|note| {
-            let _ = writeln!(body, "<li>{}</li>", escape(note));
-        });
-        body.push_str("</ul>\n");
+        let items: String = notes.iter().map(|note| format!("<li>{}</li>\n", escape(note))).collect();
+        parts.push(("missing", "What is missing".into(), format!("<ul>\n{items}</ul>\n")));
     }
+    let mut body = format!("<header>\n<h1>{title}</h1>\n{}", made_by(tables.runs));
+    body.push_str("<nav aria-label=\"Contents\"><ul>\n");
+    // Writing to a String cannot fail.
+    for (id, heading, _) in &parts {
+        let _ = writeln!(body, "<li><a href=\"#{id}\">{heading}</a></li>");
+    }
+    let _ = writeln!(body, "</ul></nav>\n</header>\n{}<main>", legend(tables.names));
+    for (id, heading, text) in &parts {
+        let _ = writeln!(body, "<section id=\"{id}\">\n<h2>{heading}</h2>\n{text}</section>");
+    }
+    body.push_str("</main>\n");
     format!(
-        "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
-         content=\"width=device-width\">\n<title>{title}</title>\n<style>{STYLE}</style>\n<body>\n{body}</body>\n</html>\n"
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
+         content=\"width=device-width\">\n<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}</body>\n</html>\n"
     )
+}
+
+/// Who made the runs, and when the last of them was done.
+fn made_by(runs: &[Run]) -> String {
+    let mut builds: Vec<String> = runs
+        .iter()
+        .filter(|run| !run.version.is_empty())
+        .map(|run| match run.commit.get(..12) {
+            Some(commit) => format!("Trestle {}, commit {}", escape(&run.version), escape(commit)),
+            None => format!("Trestle {}", escape(&run.version)),
+        })
+        .collect();
+    builds.sort_unstable();
+    builds.dedup();
+    let newest =
+        runs.iter().filter_map(|run| run.finished).max().map(|at| format!("last result of {}", date(at)));
+    let all: Vec<String> = builds.into_iter().chain(newest).collect();
+    if all.is_empty() { String::new() } else { format!("<p class=\"faint\">{}</p>\n", all.join("; ")) }
+}
+
+/// The arms with their colours and dashes, which are the same in all pictures.
+fn legend(names: &[&str]) -> String {
+    let arm = |(index, name): (usize, &&str)| format!("<li>{}{}</li>", swatch(index), escape(name));
+    let arms: String = names.iter().enumerate().map(arm).collect();
+    format!("<aside class=\"legend\" aria-label=\"Colours of the arms\"><ul>{arms}</ul></aside>\n")
+}
+
+/// The pictures of one part, task by task.
+fn figures(sections: &[Section<'_>], of: impl Fn(Part) -> bool) -> String {
+    let mut text = String::new();
+    for section in sections {
+        let mut figures = section.figures.iter().filter(|figure| of(figure.part)).peekable();
+        if figures.peek().is_none() {
+            continue;
+        }
+        if sections.len() > 1 {
+            let _ = writeln!(text, "<h3>{}</h3>", escape(section.task.unwrap_or("All tasks")));
+        }
+        text.push_str("<div class=\"figures\">\n");
+        let task = section.task.map(|task| format!(": {task}")).unwrap_or_default();
+        for Figure { title, note, file, svg, .. } in figures {
+            // Its section has the task's name.
+            let (title, note) = (escape(title.strip_suffix(&task).unwrap_or(title)), escape(note));
+            let svg = svg.replacen("role=\"img\"", &format!("role=\"img\" aria-label=\"{title}\""), 1);
+            let _ = writeln!(
+                text,
+                "<figure><figcaption><b>{title}</b> <span class=\"faint\">{note} (<a href=\"pictures/{file}.svg\">SVG</a>, \
+                 <a href=\"pictures/{file}.png\">PNG</a>)</span></figcaption>{svg}</figure>"
+            );
+        }
+        text.push_str("</div>\n");
+    }
+    text
+}
+
+/// A line a run, with links to what it has left.
+fn run_table(runs: &[Run], from: &Path) -> String {
+    let mut text = String::from(
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Table of runs\"><table>\n<tr><th>task</th><th class=\"name\">arm</th>\
+         <th>seed</th><th>state</th><th>episodes</th><th>steps</th><th>solved at step</th><th>best return</th><th>last return</th>\
+         <th>time</th><th>result of</th><th class=\"name\">files</th></tr>\n",
+    );
+    let number = |value: Option<f64>| value.map_or("-".into(), |value| group(value, 2));
+    for run in runs {
+        let of = run.outcome.as_ref();
+        let count = |value: Option<u64>| value.map_or("-".into(), |value| group(value as f64, 0));
+        let state = match (of, run.complete()) {
+            (_, Some(_)) => "complete",
+            (Some(_), None) => "interrupted",
+            (None, None) => "no result",
+        };
+        let there = relative(from, &run.path);
+        let link = |file: &str| format!("<a href=\"{}\">{file}</a>", escape(&format!("{there}/{file}")));
+        let result = of.map(|_| format!(" {}", link("result.json"))).unwrap_or_default();
+        let _ = writeln!(
+            text,
+            "<tr><td>{}</td><td class=\"name\">{}</td><td>{}</td><td>{state}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
+             <td>{}</td><td>{}</td><td class=\"name\">{} {}{result}</td></tr>",
+            escape(&run.task),
+            escape(&run.arm),
+            run.config.run.seed,
+            count(of.map(|o| o.episodes)),
+            count(of.map(|o| o.env_steps)),
+            count(of.and_then(|o| o.solved_env_steps)),
+            number(of.and_then(|o| o.best_return)),
+            number(of.and_then(|o| o.final_return)),
+            of.map_or("-".into(), |o| format!("{} s", group(o.wall_s, 1))),
+            run.finished.map_or("-".into(), date),
+            link("config.toml"),
+            link("evals.csv"),
+        );
+    }
+    text.push_str("</table></div>\n");
+    text
+}
+
+/// The settings in which arms differ, from the first run of each; empty where they do not.
+fn settings_table(runs: &[Run], names: &[&str]) -> String {
+    let of = |arm: &&str| runs.iter().find(|run| run.arm == **arm).map(|run| settings(&run.config));
+    let all: Vec<BTreeMap<String, String>> = names.iter().map(|arm| of(arm).unwrap_or_default()).collect();
+    let mut keys: Vec<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    let differing: Vec<&String> = keys
+        .into_iter()
+        // Seeds are in the table of runs, and files are where each run has put them.
+        .filter(|key| !["run.seed", "mentor.demo"].contains(&key.as_str()))
+        .filter(|key| all.iter().any(|of| of.get(*key) != all[0].get(*key)))
+        .collect();
+    if differing.is_empty() {
+        return String::new();
+    }
+    let mut text = String::from(
+        "<p class=\"faint\">Settings in which the arms differ, each from the arm's first run; all others are in the runs' config.toml.</p>\n\
+         <div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Table of settings\"><table>\n<tr><th class=\"name\">setting</th>",
+    );
+    names.iter().for_each(|name| {
+        let _ = write!(text, "<th>{}</th>", escape(name));
+    });
+    text.push_str("</tr>\n");
+    for key in differing {
+        let _ = write!(text, "<tr><td class=\"name\"><code>{}</code></td>", escape(key));
+        for of in &all {
+            let value: String = of.get(key).map_or("-".into(), |value| value.chars().take(60).collect());
+            let _ = write!(text, "<td>{}</td>", escape(&value));
+        }
+        text.push_str("</tr>\n");
+    }
+    text.push_str("</table></div>\n");
+    text
+}
+
+/// All settings by their dotted keys.
+fn settings(config: &Config) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    // Every configuration has a form as TOML.
+    let mut open = vec![(String::new(), Table::try_from(config).unwrap_or_default())];
+    while let Some((above, table)) = open.pop() {
+        for (key, value) in table {
+            let key = if above.is_empty() { key } else { format!("{above}.{key}") };
+            match value {
+                Value::Table(table) => open.push((key, table)),
+                value => _ = found.insert(key, value.to_string()),
+            }
+        }
+    }
+    found
+}
+
+/// The way from the directory `from` to `path`, for a link.
+fn relative(from: &Path, path: &Path) -> String {
+    let [from, path] = [from, path].map(|path| std::path::absolute(path).unwrap_or_else(|_| path.into()));
+    let common = from.components().zip(path.components()).take_while(|(a, b)| a == b).count();
+    let up = from.components().skip(common).map(|_| "..".to_string());
+    let down = path.components().skip(common).map(|name| encoded(&name.as_os_str().to_string_lossy()));
+    up.chain(down).collect::<Vec<_>>().join("/")
+}
+
+/// `name` as part of an address.
+fn encoded(name: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
+    name.bytes()
+        .map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+        .collect()
+}
+
+/// The day of `seconds` since 1970, as 2026-01-31; by Howard Hinnant's `civil_from_days`.
+fn date(seconds: u64) -> String {
+    let days = seconds / 86_400 + 719_468;
+    let (era, day) = (days / 146_097, days % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    format!("{:04}-{month:02}-{day:02}", 400 * era + year + u64::from(month <= 2))
 }
 
 fn totals_table(body: &mut String, overview: &Overview) {
     let baseline = escape(&overview.baseline);
     let _ = writeln!(
         body,
-        "<h2>Over tasks, compared with {baseline}</h2>\n<p class=\"faint\">Times are environment steps until solved, over {baseline}'s \
+        "<p class=\"faint\">Times are environment steps until solved, over {baseline}'s \
          on the same task. A run that was not solved counts as if it had been with the last step of its budget. So the ratio of a \
          task on which {baseline} was not solved is too high (&le;), and that of a task on which only the arm was not solved is too \
          low (&ge;), and a loss. Other losses are ratios above {LOSS}. In \
-         doubt are tasks without a loss whose interval reaches above {DOUBT}.</p>\n<div class=\"wide\"><table>\n<tr><th>tasks</th>\
+         doubt are tasks without a loss whose interval reaches above {DOUBT}.</p>\n<div class=\"wide\" tabindex=\"0\" \
+         role=\"region\" aria-label=\"Table of totals over tasks\"><table>\n<tr><th>tasks</th>\
          <th class=\"name\">arm</th><th>number</th><th>geometric mean<br>of ratios</th><th>interquartile mean<br>over runs</th>\
          <th>probability of<br>fewer steps</th><th>share of runs<br>solved</th><th>{baseline}'s</th><th>faster on</th><th>losses</th>\
          <th>in doubt</th><th>largest ratio</th></tr>"
@@ -133,7 +338,7 @@ fn totals_table(body: &mut String, overview: &Overview) {
 /// The tasks on which an arm loses, by name.
 fn losses(body: &mut String, overview: &Overview) {
     let losses: Vec<&Ratio> = overview.ratios.iter().filter(|ratio| ratio.loss).collect();
-    body.push_str("<h2>Losses</h2>\n");
+    body.push_str("<h3>Losses</h3>\n");
     if losses.is_empty() {
         body.push_str("<p>No arm loses on any task.</p>\n");
         return;
@@ -171,7 +376,7 @@ fn ratio_table(body: &mut String, overview: &Overview) {
     let solved = |solved: usize, runs: usize| format!("<span class=\"faint\">{solved} of {runs}</span>");
     let _ = write!(
         body,
-        "<h2>Task by task</h2>\n<div class=\"wide\"><table>\n<tr><th>task</th><th>budget</th><th>{}: median<br>steps to solved</th>",
+        "<h3>Task by task</h3>\n<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Table of ratios by task\"><table>\n<tr><th>task</th><th>budget</th><th>{}: median<br>steps to solved</th>",
         escape(&overview.baseline)
     );
     for arm in &arms {
@@ -209,9 +414,11 @@ fn ratio_table(body: &mut String, overview: &Overview) {
     body.push_str("</table></div>\n");
 }
 
-fn arm_table(body: &mut String, arms: &[ArmSummary]) {
+fn arm_table(body: &mut String, arms: &[ArmSummary], names: &[&str]) {
     body.push_str(
-        "<h2>Arms</h2>\n<div class=\"wide\"><table>\n<tr><th>task</th><th class=\"name\">arm</th><th>complete</th><th>solved</th>\
+        "<p class=\"faint\">Medians and their ratios come with 95 % bootstrap intervals, shares with Wilson's. A run that was not \
+         solved counts as later than any that was: a median is \"not reached\" where that is so for half of the runs or more. Only \
+         runs that have run their whole length are counted; curves show all.</p>\n<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Table of arms\"><table>\n<tr><th>task</th><th class=\"name\">arm</th><th>complete</th><th>solved</th>\
          <th>share solved</th><th>median episodes<br>to solved</th><th>median environment<br>steps to solved</th>\
          <th>optimal</th><th>last return,<br>mean &plusmn; std</th><th>mentor: feasible,<br>bridged, in the loss</th>\
          <th>environment<br>steps/s</th></tr>\n",
@@ -223,7 +430,8 @@ fn arm_table(body: &mut String, arms: &[ArmSummary]) {
             "<tr><td>{}</td><td class=\"name\">{}</td><td>{} of {}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
              <td>{}</td><td>{}</td><td>{}</td></tr>",
             escape(&arm.task),
-            escape(&arm.arm),
+            names.iter().position(|name| *name == arm.arm).map(swatch).unwrap_or_default()
+                + &escape(&arm.arm),
             arm.complete,
             arm.runs,
             arm.solved,
@@ -258,7 +466,7 @@ fn comparison_table(body: &mut String, comparisons: &[Comparison]) {
         return;
     }
     body.push_str(
-        "<h2>Comparisons</h2>\n<div class=\"wide\"><table>\n<tr><th>task</th><th class=\"name\">arm</th><th class=\"name\">with</th>\
+        "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Table of comparisons\"><table>\n<tr><th>task</th><th class=\"name\">arm</th><th class=\"name\">with</th>\
          <th>ratio of median<br>episodes to solved</th><th>ratio of median<br>steps to solved</th>\
          <th>probability of<br>fewer steps</th></tr>\n",
     );
@@ -318,6 +526,7 @@ fn escape(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
@@ -331,14 +540,52 @@ mod tests {
 
     #[test]
     fn names_cannot_break_the_page() {
-        let section = Section { task: Some("<script>"), figures: Vec::new() };
-        let page = page(
-            "a & b",
-            &Tables { arms: &[], comparisons: &[], overview: None },
-            &[section],
-            &["\"x\" < y".into()],
-        );
-        assert!(!page.contains("<script>") && page.contains("&lt;script&gt;"));
+        let figure = Figure {
+            title: "<i>".into(),
+            note: String::new(),
+            file: "f".into(),
+            svg: "<svg/>".into(),
+            part: Part::Curves,
+        };
+        let section = Section { task: Some("<script>"), figures: vec![figure] };
+        let other = Section { task: None, figures: Vec::new() };
+        let tables = Tables {
+            names: &["<b>"],
+            arms: &[],
+            comparisons: &[],
+            overview: None,
+            runs: &[],
+            from: Path::new("report"),
+        };
+        let page = page("a & b", &tables, &[section, other], &["\"x\" < y".into()]);
+        assert!(!page.contains("<script>") && !page.contains("<i>") && !page.contains("<b><"));
+        assert!(page.contains("<h3>&lt;script&gt;</h3>") && page.contains("</svg>&lt;b&gt;</li>"));
         assert!(page.contains("<h1>a &amp; b</h1>") && page.contains("&quot;x&quot; &lt; y"));
+        let contents = page.find("href=\"#missing\"").unwrap();
+        assert!(
+            page.find("href=\"#curves\"").unwrap() < contents
+                && contents < page.find("id=\"curves\"").unwrap()
+        );
+    }
+
+    #[test]
+    fn a_run_is_found_from_the_page() {
+        let way = |from: &str, path: &str| relative(Path::new(from), Path::new(path));
+        assert_eq!(way("/s/report", "/s/a/seed-0"), "../a/seed-0");
+        assert_eq!(way("/elsewhere", "/s/a b/seed-\"0"), "../s/a%20b/seed-%220");
+        assert_eq!(way("s/report", "s"), "..");
+    }
+
+    #[test]
+    fn days_are_those_of_the_calendar() {
+        let days = [
+            (0, "1970-01-01"),
+            (951_782_400, "2000-02-29"),
+            (1_796_083_199, "2026-11-30"),
+            (4_107_542_400, "2100-03-01"),
+        ];
+        for (seconds, day) in days {
+            assert_eq!(date(seconds), day);
+        }
     }
 }

@@ -57,6 +57,26 @@ const COLORS: [RGBColor; 6] = [
 /// Lengths of dash and gap, pixels; a gap of 0 is a solid line.
 const DASHES: [(u32, u32); 4] = [(1, 0), (9, 4), (3, 3), (14, 4)];
 
+/// Where a picture is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// By itself, with heading, note and legend.
+    Paper,
+    /// On a page that says the rest: narrow, so that its letters can be read on a phone.
+    Page,
+}
+
+/// A line of the `index`-th arm for a legend of a page, as SVG.
+pub(crate) fn swatch(index: usize) -> String {
+    let RGBColor(r, g, b) = color(index);
+    let (dash, gap) = dashes(index);
+    let dashes = if gap == 0 { String::new() } else { format!(" stroke-dasharray=\"{dash} {gap}\"") };
+    format!(
+        "<svg class=\"swatch\" viewBox=\"0 0 30 10\" aria-hidden=\"true\"><path d=\"M1 5H29\" stroke=\"#{r:02X}{g:02X}{b:02X}\" \
+         stroke-width=\"2.5\" fill=\"none\"{dashes}/></svg>"
+    )
+}
+
 /// The colour of the `index`-th arm.
 pub(crate) fn color(index: usize) -> RGBColor {
     COLORS[index % COLORS.len()]
@@ -160,8 +180,8 @@ mod tests {
 
     #[test]
     fn a_picture_is_drawn_the_same_every_time() {
-        let svg = chart().svg().unwrap();
-        assert_eq!(svg, chart().svg().unwrap());
+        let svg = chart().svg(View::Paper).unwrap();
+        assert_eq!(svg, chart().svg(View::Paper).unwrap());
         for text in ["Returns &amp; &lt;costs&gt;", "environment steps", "ha-diiqn", "best"] {
             assert!(svg.contains(text), "{text}");
         }
@@ -172,8 +192,8 @@ mod tests {
 
     #[test]
     fn a_page_can_have_its_own_colours() {
-        let svg = inline(&chart().svg().unwrap());
-        assert!(svg.starts_with("<svg viewBox=\"0 0 720 420\""), "{}", &svg[..80]);
+        let svg = inline(&chart().svg(View::Page).unwrap());
+        assert!(svg.starts_with("<svg viewBox=\"0 0 400 300\""), "{}", &svg[..80]);
         assert!(svg.contains("currentColor") && svg.contains("var(--grid)") && svg.contains("var(--paper)"));
         for fixed in ["#1F2024", "#DCDDE2", "#FFFFFE"] {
             assert!(!svg.contains(fixed), "{fixed}");

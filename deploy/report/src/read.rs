@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 use trestle_proto::config::{self, Config};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::regular_file::{self, FileError};
@@ -186,6 +187,12 @@ pub struct Run {
     pub start: Option<u64>,
     /// Its resolved configuration.
     pub config: Config,
+    /// Version of the program that made it, and the commit of its sources; empty where the run does not say.
+    pub version: String,
+    /// See `version`.
+    pub commit: String,
+    /// When its result was written, seconds since 1970; none without a result.
+    pub finished: Option<u64>,
     /// Its outcome, if it has one.
     pub outcome: Option<Outcome>,
     /// Return of the greedy evaluations.
@@ -368,7 +375,15 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
         Some(outcome) => outcome.env.clone(),
         None => plan.map(|plan| plan.spec.name).map_err(|e| e.to_string())?,
     };
+    let Build { version, commit } = regular_file::read(&dir.build(), MAX_RESULT)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .unwrap_or_default();
+    let finished = fs::metadata(dir.result()).and_then(|meta| meta.modified()).ok();
     let mut run = Run {
+        version: version.unwrap_or_default(),
+        commit: commit.unwrap_or_default(),
+        finished: finished.and_then(|at| at.duration_since(UNIX_EPOCH).ok()).map(|since| since.as_secs()),
         path: path.into(),
         arm: place(root, path).1.unwrap_or_else(|| config.arm()),
         task,
@@ -389,6 +404,13 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
         notes.push(format!("{}: {fault}", dir.metrics().display()));
     }
     Ok(run)
+}
+
+/// What is read of build.json.
+#[derive(Default, Deserialize)]
+struct Build {
+    version: Option<String>,
+    commit: Option<String>,
 }
 
 /// The directories above the arm's, and the arm, of a run in `<above>/<arm>/seed-<N>` below `root`.
@@ -525,6 +547,9 @@ mod tests {
                 group: String::new(),
                 start,
                 config,
+                version: String::new(),
+                commit: String::new(),
+                finished: None,
                 outcome: weights.is_some().then_some(outcome),
                 evaluations: Series::default(),
                 training: Series::default(),
@@ -569,6 +594,9 @@ mod tests {
             group: String::new(),
             start: None,
             config: Config::default(),
+            version: String::new(),
+            commit: String::new(),
+            finished: None,
             outcome: None,
             evaluations: Series::default(),
             training: Series::default(),

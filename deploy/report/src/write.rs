@@ -11,8 +11,8 @@
 use crate::curves::{self, Axis};
 use crate::maze::Maze;
 use crate::over_tasks::{self, Bound, Overview, Ratio};
-use crate::page::{self, Figure, Section, Tables};
-use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, png};
+use crate::page::{self, Figure, Part, Section, Tables};
+use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, View, png};
 use crate::read::{Run, Series};
 use crate::stats::Estimate;
 use crate::summary::{self, ArmSummary, Comparison, Group, Task, Time, order};
@@ -121,7 +121,7 @@ pub fn write(report: &Report<'_>, out: &Path) -> Result<Option<Overview>, WriteE
     let tasks = summary::tasks(report.runs);
     let (arms, comparisons) = (summary::arms(&tasks), summary::comparisons(&tasks));
     let overview = over_tasks::overview(&tasks);
-    let mut output = Output { dir: out, figures: Vec::new() };
+    let mut output = Output { dir: out, figures: Vec::new(), part: Part::Times };
     for dir in [out.to_path_buf(), out.join("pictures"), out.join("data")] {
         fs::create_dir_all(&dir).map_err(|source| WriteError::Io { path: dir, source })?;
     }
@@ -140,9 +140,13 @@ pub fn write(report: &Report<'_>, out: &Path) -> Result<Option<Overview>, WriteE
     for (index, task) in drawn.iter().enumerate() {
         let drawing =
             Drawing { task, prefix: format!("{:02}-{}", index + 1, slug(task.name)), names: &names };
-        drawing.times(&mut output, &arms, &comparisons)?;
+        output.part = Part::Curves;
         drawing.returns(&mut output)?;
+        output.part = Part::Times;
+        drawing.times(&mut output, &arms, &comparisons)?;
+        output.part = Part::Mentor;
         drawing.knowledge(&mut output)?;
+        output.part = Part::Maps;
         drawing.mazes(&mut output, &report.mazes)?;
         sections.push(Section { task: Some(task.name), figures: std::mem::take(&mut output.figures) });
     }
@@ -160,7 +164,14 @@ pub fn write(report: &Report<'_>, out: &Path) -> Result<Option<Overview>, WriteE
     output.file("report.json", text.as_bytes())?;
     let page = page::page(
         &report.title,
-        &Tables { arms: &arms, comparisons: &comparisons, overview: overview.as_ref() },
+        &Tables {
+            names: &names,
+            arms: &arms,
+            comparisons: &comparisons,
+            overview: overview.as_ref(),
+            runs: report.runs,
+            from: out,
+        },
         &sections,
         &report.notes,
     );
@@ -214,6 +225,8 @@ struct Output<'a> {
     dir: &'a Path,
     /// The pictures of the present section.
     figures: Vec<Figure>,
+    /// What the pictures that come next are about.
+    part: Part,
 }
 
 impl Output<'_> {
@@ -233,15 +246,26 @@ impl Output<'_> {
         self.file(name, &writer.into_inner().map_err(|e| fault(&e))?)
     }
 
-    /// Keeps picture `name` as SVG and PNG, and for the page.
-    fn picture(&mut self, name: &str, caption: &str, svg: String) -> Result<(), WriteError> {
+    /// Keeps picture `name` as SVG and PNG, and for the page, with a heading and a note there.
+    fn picture(
+        &mut self,
+        name: &str,
+        [title, note]: [&str; 2],
+        draw: impl Fn(View) -> Result<String, PlotError>,
+    ) -> Result<(), WriteError> {
+        let svg = draw(View::Paper)?;
         self.file(&format!("pictures/{name}.svg"), svg.as_bytes())?;
         self.file(&format!("pictures/{name}.png"), &png(&svg)?)?;
-        self.figures.push(Figure { caption: caption.into(), svg: plot::inline(&svg) });
+        let (title, note, svg) = (title.into(), note.into(), plot::inline(&draw(View::Page)?));
+        self.figures.push(Figure { title, note, file: name.into(), svg, part: self.part });
         Ok(())
     }
 
+    /// Keeps a chart, unless it would be an empty box.
     fn chart(&mut self, name: &str, chart: &Chart, counts: &[Vec<usize>]) -> Result<(), WriteError> {
+        if chart.lines.iter().all(|line| line.points.len() < 2) {
+            return Ok(());
+        }
         let rows = chart.lines.iter().zip(counts).flat_map(|(line, counts)| {
             line.points.iter().zip(counts).map(|(&(x, value, low, high), &runs)| ChartRow {
                 arm: &line.name,
@@ -253,10 +277,14 @@ impl Output<'_> {
             })
         });
         self.csv(&format!("data/{name}.csv"), rows)?;
-        self.picture(name, &chart.title, chart.svg()?)
+        self.picture(name, [&chart.title, &chart.note], |view| chart.svg(view))
     }
 
+    /// The same of intervals.
     fn intervals(&mut self, name: &str, chart: &Intervals) -> Result<(), WriteError> {
+        if chart.rows.iter().all(|row| !row.estimate.mid.is_finite()) {
+            return Ok(());
+        }
         #[derive(Serialize)]
         struct IntervalRow<'a> {
             name: &'a str,
@@ -270,7 +298,7 @@ impl Output<'_> {
             IntervalRow { name: &row.name, value: mid, low, high, note: &row.note }
         });
         self.csv(&format!("data/{name}.csv"), rows)?;
-        self.picture(name, &chart.title, chart.svg()?)
+        self.picture(name, [&chart.title, &chart.note], |view| chart.svg(view))
     }
 }
 
@@ -435,11 +463,19 @@ impl Drawing<'_> {
     /// Learning curves.
     fn returns(&self, output: &mut Output<'_>) -> Result<(), WriteError> {
         let threshold = self.task.groups.iter().flat_map(Group::outcomes).find_map(|o| o.threshold);
+        // Where no threshold was set, it is the best return that there can be.
+        let set = self
+            .task
+            .groups
+            .iter()
+            .flat_map(|group| &group.runs)
+            .any(|run| run.config.eval.threshold.is_some());
+        let best = threshold.filter(|_| !set);
         let evaluations: Source = ("evaluation", "return of greedy evaluations", |run| &run.evaluations);
         let training: Source = ("training", "mean return of 100 training episodes", |run| &run.training);
         for source in [evaluations, training] {
             for axis in Axis::ALL {
-                self.curve(output, source, axis, &[Band::Deviation, Band::Iqm], threshold)?;
+                self.curve(output, source, axis, &[Band::Iqm, Band::Deviation], [threshold, best])?;
             }
         }
         Ok(())
@@ -451,7 +487,7 @@ impl Drawing<'_> {
         source: Source,
         axis: Axis,
         bands: &[Band],
-        rule: Option<f64>,
+        rule_and_best: [Option<f64>; 2],
     ) -> Result<(), WriteError> {
         let arms = self.each(|group| {
             let series: Vec<&Series> = group.runs.iter().map(|run| (source.2)(run)).collect();
@@ -460,7 +496,7 @@ impl Drawing<'_> {
         if arms.iter().all(Vec::is_empty) {
             return Ok(());
         }
-        bands.iter().try_for_each(|band| self.band(output, source, axis, (*band, &arms), rule))
+        bands.iter().try_for_each(|band| self.band(output, source, axis, (*band, &arms), rule_and_best))
     }
 
     /// One picture of the curves of all `arms`.
@@ -470,12 +506,18 @@ impl Drawing<'_> {
         (what, label, _): Source,
         axis: Axis,
         (band, arms): (Band, &[Vec<curves::Row>]),
-        rule: Option<f64>,
+        [rule, best]: [Option<f64>; 2],
     ) -> Result<(), WriteError> {
         let counts: Vec<Vec<usize>> =
             arms.iter().map(|rows| rows.iter().map(|row| row.runs).collect()).collect();
         let mut arms = arms.iter();
-        let lines = self.lines(|_| arms.next().into_iter().flatten().map(|row| band.of(row)).collect());
+        let most = best.unwrap_or(f64::INFINITY);
+        let drawn = |row| {
+            let (x, value, low, high) = band.of(row);
+            // A deviation is no bound: nobody has had a return above the best one.
+            (x, value, low, high.min(most.max(value)))
+        };
+        let lines = self.lines(|_| arms.next().into_iter().flatten().map(drawn).collect());
         let (low, high) = range(lines.iter().flat_map(|l| l.points.iter().map(|p| p.1)).chain(rule));
         let (_, end) = range(lines.iter().flat_map(|l| l.points.iter().map(|p| p.0)));
         let wide = high - low > WIDE;
@@ -497,25 +539,34 @@ impl Drawing<'_> {
             ("bridged", "share of mentor transitions with a bridge", |run| &run.bridged),
             ("e_kl", "mean e_KL of mentor transitions", |run| &run.e_kl),
         ];
-        sources
-            .into_iter()
-            .try_for_each(|source| self.curve(output, source, Axis::EnvSteps, &[Band::Deviation], None))
+        sources.into_iter().try_for_each(|source| {
+            self.curve(output, source, Axis::EnvSteps, &[Band::Deviation], [None, None])
+        })
     }
 
     fn mazes(&self, output: &mut Output<'_>, mazes: &[(String, String, Maze)]) -> Result<(), WriteError> {
         for (_, arm, maze) in mazes.iter().filter(|(task, ..)| task == self.task.name) {
             let name = |what: &str| self.name(&format!("maze-{}-{what}", slug(arm)));
-            output.picture(&name("paths"), &maze.title, maze.paths_svg()?)?;
-            if let Some(svg) = maze.visits_svg() {
-                output.picture(&name("visits"), &maze.title, svg?)?;
-            }
-            if let Some(svg) = maze.values_svg() {
-                output.picture(&name("values"), &maze.title, svg?)?;
+            let paths = [&maze.title[..], "the mentor's path and the learnt one"];
+            output.picture(&name("paths"), paths, |view| maze.paths_svg(view))?;
+            // What is not known for one view is not known for the other.
+            let heats: [(&str, &str, Heat); 2] = [
+                ("visits", "visits in the stored transitions, logarithmic", Maze::visits_svg),
+                ("values", "value: the largest Q of each square", Maze::values_svg),
+            ];
+            for (what, note, heat) in heats {
+                if heat(maze, View::Paper).is_some() {
+                    let draw = |view| heat(maze, view).unwrap_or_else(|| Ok(String::new()));
+                    output.picture(&name(what), [&maze.title, note], draw)?;
+                }
             }
         }
         Ok(())
     }
 }
+
+/// A picture of numbers on a map, where they are known.
+type Heat = fn(&Maze, View) -> Option<Result<String, PlotError>>;
 
 /// A series of runs: its name in files, on pictures, and where it is.
 type Source = (&'static str, &'static str, fn(&Run) -> &Series);

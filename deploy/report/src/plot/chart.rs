@@ -1,16 +1,32 @@
 //! Lines with bands over two axes.
 
 use super::scale::label;
-use super::{Area, Axis, GRID, INK, PlotError, color, dashes, svg, text, upward};
+use super::{Area, Axis, GRID, INK, PlotError, View, color, dashes, svg, text, upward};
 use plotters::element::{PathElement, Polygon, Rectangle};
 use plotters::series::DashedLineSeries;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, ShapeStyle};
 
-const WIDTH: u32 = 720;
-const HEIGHT: u32 = 420;
-/// Where the axes are: left, top, right, bottom.
-const FRAME: [i32; 4] = [76, 52, 548, 362];
+/// How a chart is laid out.
+struct Layout {
+    /// Width and height of the picture.
+    size: [u32; 2],
+    /// Where the axes are: left, top, right, bottom.
+    frame: [i32; 4],
+    /// Size of the letters at the axes.
+    letters: u32,
+    /// Room between two ticks of the horizontal axis, ticks: every second, third, ... one has a label.
+    every: usize,
+    /// Whether heading, note and legend are part of the picture.
+    whole: bool,
+}
+
+/// A picture that stands for itself.
+const PAPER: Layout =
+    Layout { size: [720, 420], frame: [76, 52, 548, 362], letters: 12, every: 1, whole: true };
+/// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
+const PAGE: Layout =
+    Layout { size: [400, 300], frame: [72, 12, 386, 240], letters: 18, every: 2, whole: false };
 
 /// A line with a band around it.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,17 +55,21 @@ pub struct Chart {
 }
 
 impl Chart {
-    /// Draws it.
+    /// Draws it for `view`.
     ///
     /// # Errors
     /// Those of the drawing library.
-    pub fn svg(&self) -> Result<String, PlotError> {
-        svg([WIDTH, HEIGHT], |area| self.draw(area))
+    pub fn svg(&self, view: View) -> Result<String, PlotError> {
+        let layout = match view {
+            View::Paper => &PAPER,
+            View::Page => &PAGE,
+        };
+        svg(layout.size, |area| self.draw(area, layout))
     }
 
     /// The pixel of (x, y).
-    fn pixel(&self, x: f64, y: f64) -> (i32, i32) {
-        let [left, top, right, bottom] = FRAME;
+    fn pixel(&self, layout: &Layout, x: f64, y: f64) -> (i32, i32) {
+        let [left, top, right, bottom] = layout.frame;
         let along = |axis: &Axis, value: f64| {
             let [at, low, high] = [value, axis.low, axis.high].map(|v| axis.position(v));
             ((at - low) / (high - low)).clamp(0.0, 1.0)
@@ -59,43 +79,51 @@ impl Chart {
         (left + across.round() as i32, top + down.round() as i32)
     }
 
-    fn draw(&self, area: &Area<'_>) -> Result<(), PlotError> {
-        let [left, top, right, bottom] = FRAME;
+    fn draw(&self, area: &Area<'_>, layout: &Layout) -> Result<(), PlotError> {
+        let [left, top, right, bottom] = layout.frame;
+        let (letters, height) = (layout.letters, layout.size[1] as i32);
         let say = |words: &str, style, at| area.draw_text(words, &style, at).map_err(PlotError::draw);
-        say(&self.title, text(16, HPos::Left, VPos::Top), (left, 10))?;
-        say(&self.note, text(11, HPos::Left, VPos::Top), (left, 31))?;
-        say(&self.x.label, text(13, HPos::Center, VPos::Bottom), ((left + right) / 2, HEIGHT as i32 - 8))?;
-        say(&self.y.label, upward(13), (8, (top + bottom) / 2))?;
-        for x in self.x.ticks() {
-            let at = self.pixel(x, self.y.low).0;
+        if layout.whole {
+            say(&self.title, text(16, HPos::Left, VPos::Top), (left, 10))?;
+            say(&self.note, text(12, HPos::Left, VPos::Top), (left, 31))?;
+            // On a page it is the heading.
+            say(&self.y.label, upward(letters + 1), (8, (top + bottom) / 2))?;
+        }
+        say(&self.x.label, text(letters + 1, HPos::Center, VPos::Bottom), ((left + right) / 2, height - 6))?;
+        for (index, x) in self.x.ticks().into_iter().enumerate() {
+            let at = self.pixel(layout, x, self.y.low).0;
             self.path(area, vec![(at, top), (at, bottom)], GRID.into())?;
-            say(&label(x), text(12, HPos::Center, VPos::Top), (at, bottom + 6))?;
+            if index.is_multiple_of(layout.every) {
+                say(&label(x), text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
+            }
         }
         for y in self.y.ticks() {
-            let at = self.pixel(self.x.low, y).1;
+            let at = self.pixel(layout, self.x.low, y).1;
             self.path(area, vec![(left, at), (right, at)], GRID.into())?;
-            say(&label(y), text(12, HPos::Right, VPos::Center), (left - 6, at))?;
+            say(&label(y), text(letters, HPos::Right, VPos::Center), (left - 6, at))?;
         }
         for (index, line) in self.lines.iter().enumerate() {
-            let lower = line.points.iter().map(|&(x, _, low, _)| self.pixel(x, low));
-            let upper = line.points.iter().rev().map(|&(x, .., high)| self.pixel(x, high));
+            let lower = line.points.iter().map(|&(x, _, low, _)| self.pixel(layout, x, low));
+            let upper = line.points.iter().rev().map(|&(x, .., high)| self.pixel(layout, x, high));
             let band = Polygon::new(lower.chain(upper).collect::<Vec<_>>(), color(index).mix(0.18));
             area.draw(&band).map_err(PlotError::draw)?;
         }
         for (at, name) in &self.rules {
-            let y = self.pixel(self.x.low, *at).1;
+            let y = self.pixel(layout, self.x.low, *at).1;
             self.dashed(area, &[(left, y), (right, y)], (2, 4), INK.stroke_width(1))?;
             let (place, beside) = if y < top + 16 { (VPos::Top, y + 3) } else { (VPos::Bottom, y - 3) };
-            say(name, text(11, HPos::Right, place), (right - 4, beside))?;
+            say(name, text(letters, HPos::Right, place), (right - 4, beside))?;
         }
         for (index, line) in self.lines.iter().enumerate() {
-            let path: Vec<_> = line.points.iter().map(|&(x, y, ..)| self.pixel(x, y)).collect();
+            let path: Vec<_> = line.points.iter().map(|&(x, y, ..)| self.pixel(layout, x, y)).collect();
             self.dashed(area, &path, dashes(index), color(index).stroke_width(2))?;
         }
         let frame = Rectangle::new([(left, top), (right, bottom)], INK.stroke_width(1));
         area.draw(&frame).map_err(PlotError::draw)?;
-        for (index, line) in self.lines.iter().enumerate() {
-            let y = top + 8 + 20 * index as i32;
+        // An arm without a line here has no entry either.
+        let drawn = self.lines.iter().enumerate().filter(|(_, line)| layout.whole && !line.points.is_empty());
+        for (place, (index, line)) in drawn.enumerate() {
+            let y = top + 8 + 20 * place as i32;
             self.dashed(
                 area,
                 &[(right + 14, y), (right + 44, y)],

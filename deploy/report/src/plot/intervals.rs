@@ -1,17 +1,33 @@
 //! Values with their intervals, one below the other.
 
 use super::scale::label;
-use super::{Area, Axis, GRID, INK, PlotError, color, svg, text};
+use super::{Area, Axis, GRID, INK, PlotError, View, color, svg, text};
 use crate::stats::Estimate;
 use plotters::element::{Circle, PathElement, Rectangle};
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, ShapeStyle};
 
-const WIDTH: u32 = 720;
-const LEFT: i32 = 210;
-const RIGHT: i32 = 610;
-const TOP: i32 = 56;
+/// How a chart is laid out: its width, the ends of its bars, where its rows begin, and the size of its letters.
+struct Layout {
+    width: u32,
+    left: i32,
+    right: i32,
+    top: i32,
+    letters: u32,
+    /// Every second, third, ... tick has a label.
+    every: usize,
+    /// Whether heading and note are part of the picture.
+    whole: bool,
+}
+
+/// A picture that stands for itself.
+const PAPER: Layout =
+    Layout { width: 720, left: 210, right: 610, top: 56, letters: 12, every: 1, whole: true };
+/// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
+const PAGE: Layout = Layout { width: 400, left: 8, right: 290, top: 8, letters: 18, every: 2, whole: false };
+/// Height of a row; on a page the name stands above the bar.
 const ROW: i32 = 26;
+const PAGE_ROW: i32 = 50;
 
 /// A line of the chart.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,46 +57,66 @@ pub struct Intervals {
     pub rule: Option<f64>,
 }
 
+impl Layout {
+    fn row(&self) -> i32 {
+        if self.whole { ROW } else { PAGE_ROW }
+    }
+}
+
 impl Intervals {
-    /// Draws it.
+    /// Draws it for `view`.
     ///
     /// # Errors
     /// Those of the drawing library.
-    pub fn svg(&self) -> Result<String, PlotError> {
-        let height = TOP + ROW * self.rows.len() as i32 + 48;
-        svg([WIDTH, height as u32], |area| self.draw(area, height))
+    pub fn svg(&self, view: View) -> Result<String, PlotError> {
+        let layout = match view {
+            View::Paper => &PAPER,
+            View::Page => &PAGE,
+        };
+        let height = layout.top + layout.row() * self.rows.len() as i32 + 3 * layout.letters as i32 + 8;
+        svg([layout.width, height as u32], |area| self.draw(area, layout, height))
     }
 
-    fn pixel(&self, x: f64) -> i32 {
+    fn pixel(&self, layout: &Layout, x: f64) -> i32 {
         let [at, low, high] = [x, self.x.low, self.x.high].map(|v| self.x.position(v));
-        LEFT + (f64::from(RIGHT - LEFT) * ((at - low) / (high - low)).clamp(0.0, 1.0)).round() as i32
+        let share = ((at - low) / (high - low)).clamp(0.0, 1.0);
+        layout.left + (f64::from(layout.right - layout.left) * share).round() as i32
     }
 
-    fn draw(&self, area: &Area<'_>, height: i32) -> Result<(), PlotError> {
-        let bottom = TOP + ROW * self.rows.len() as i32;
+    fn draw(&self, area: &Area<'_>, layout: &Layout, height: i32) -> Result<(), PlotError> {
+        let Layout { left, right, top, letters, .. } = *layout;
+        let bottom = top + layout.row() * self.rows.len() as i32;
         let say = |words: &str, style, at| area.draw_text(words, &style, at).map_err(PlotError::draw);
         let path = |points: &[(i32, i32)], style: ShapeStyle| {
             area.draw(&PathElement::new(points.to_vec(), style)).map_err(PlotError::draw)
         };
-        say(&self.title, text(16, HPos::Left, VPos::Top), (12, 10))?;
-        say(&self.note, text(11, HPos::Left, VPos::Top), (12, 31))?;
-        say(&self.x.label, text(13, HPos::Center, VPos::Bottom), ((LEFT + RIGHT) / 2, height - 6))?;
-        for x in self.x.ticks() {
-            let at = self.pixel(x);
-            path(&[(at, TOP), (at, bottom)], GRID.into())?;
-            say(&label(x), text(12, HPos::Center, VPos::Top), (at, bottom + 6))?;
+        if layout.whole {
+            say(&self.title, text(16, HPos::Left, VPos::Top), (12, 10))?;
+            say(&self.note, text(12, HPos::Left, VPos::Top), (12, 31))?;
         }
-        if let Some(at) = self.rule.map(|x| self.pixel(x)) {
-            path(&[(at, TOP), (at, bottom)], INK.stroke_width(1))?;
+        say(&self.x.label, text(letters + 1, HPos::Center, VPos::Bottom), ((left + right) / 2, height - 6))?;
+        for (index, x) in self.x.ticks().into_iter().enumerate() {
+            let at = self.pixel(layout, x);
+            path(&[(at, top), (at, bottom)], GRID.into())?;
+            if index.is_multiple_of(layout.every) {
+                say(&label(x), text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
+            }
+        }
+        if let Some(at) = self.rule.map(|x| self.pixel(layout, x)) {
+            path(&[(at, top), (at, bottom)], INK.stroke_width(1))?;
         }
         for (index, row) in self.rows.iter().enumerate() {
-            let y = TOP + ROW * index as i32 + ROW / 2;
+            let begin = top + layout.row() * index as i32;
+            let y = begin + if layout.whole { ROW / 2 } else { PAGE_ROW - 12 };
             let bar = color(row.arm).stroke_width(3);
             let Estimate { mid, low, high } = row.estimate;
-            say(&row.name, text(12, HPos::Right, VPos::Center), (LEFT - 8, y))?;
-            say(&row.note, text(11, HPos::Left, VPos::Center), (RIGHT + 10, y))?;
+            match layout.whole {
+                true => say(&row.name, text(letters, HPos::Right, VPos::Center), (left - 8, y))?,
+                false => say(&row.name, text(letters, HPos::Left, VPos::Top), (left + 6, begin + 4))?,
+            }
+            say(&row.note, text(letters, HPos::Left, VPos::Center), (right + 10, y))?;
             if low.is_finite() {
-                let (from, to) = (self.pixel(low), self.pixel(high));
+                let (from, to) = (self.pixel(layout, low), self.pixel(layout, high));
                 path(&[(from, y), (to, y)], bar)?;
                 path(&[(from, y - 5), (from, y + 5)], bar)?;
                 match high.is_finite() {
@@ -89,11 +125,11 @@ impl Intervals {
                 }
             }
             if mid.is_finite() {
-                area.draw(&Circle::new((self.pixel(mid), y), 5, color(row.arm).filled()))
+                area.draw(&Circle::new((self.pixel(layout, mid), y), 5, color(row.arm).filled()))
                     .map_err(PlotError::draw)?;
             }
         }
-        let frame = Rectangle::new([(LEFT, TOP), (RIGHT, bottom)], INK.stroke_width(1));
+        let frame = Rectangle::new([(left, top), (right, bottom)], INK.stroke_width(1));
         area.draw(&frame).map_err(PlotError::draw)
     }
 }
