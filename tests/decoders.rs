@@ -14,7 +14,7 @@ use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
-use trestle_proto::acting::{Acting, ActingHeader};
+use trestle_proto::acting::{Acting, ActingHeader, OwnPlaces, Room};
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::{self, Batch, BatchHeader, KNOWN_FLAGS};
 use trestle_proto::codec::{self, Kind};
@@ -55,7 +55,8 @@ fn message<H: Pod>(bytes: &[u8]) -> (H, Vec<u32>) {
 
 /// What actors act with, of a network of one input and two outputs.
 fn acting() -> Acting {
-    Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![1, NONE], policy: vec![0.25] }
+    let own = OwnPlaces { lengths: vec![2], places: vec![1.0, 0.5, 2.0, 0.5] };
+    Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![1, NONE], policy: vec![0.25], own }
 }
 
 fn words(bytes: &[u8]) -> Vec<u32> {
@@ -78,7 +79,13 @@ fn messages(bytes: &[u8]) {
         assert!(orders.run == 7 && orders.stop < 2);
     }
     let (header, payload) = message::<ActingHeader>(bytes);
-    let _ = header.receive(7, &[1, 2], &payload, &mut Acting::zeros(acting().lengths()));
+    let mut into = Acting::zeros(acting().lengths());
+    let room = Room { dim: 2, paths: 3, places: 4 };
+    if header.receive(7, &[1, 2], &payload, &room, &mut into).is_ok() {
+        let places: u32 = into.own.lengths.iter().sum();
+        assert!(into.own.lengths.len() <= 3 && into.own.places.len() == 2 * places as usize);
+        assert!(into.own.places.iter().all(|x| x.is_finite()));
+    }
     let (answer, payload) = message::<ObserveAnswer>(bytes);
     let mut answers = Answers::default();
     let mut table = AnnotationTable::new(MENTOR, DIM, ACTIONS);
@@ -251,7 +258,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     batch.prepare(BatchHeader { run: 7, count: 3, obs_dim: DIM as u32, ..BatchHeader::default() });
     let orders = Orders { run: 7, round: 1, ..Orders::default() };
     let acting = acting();
-    let mut payload = vec![0; acting.lengths().words()];
+    let mut payload = vec![0; acting.words()];
     acting.write(&mut payload);
     let answer = ObserveAnswer::default();
     let mut table = Vec::new();

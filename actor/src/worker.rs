@@ -23,7 +23,7 @@ use trestle_proto::space::{Success, reported};
 use trestle_qnet::{PlanError, kernels_of, network_of};
 
 /// What the frame of an actor's state says that it is.
-pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 2 };
+pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 3 };
 
 /// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
 /// [`MAX_REPLY_BYTES`].
@@ -330,6 +330,9 @@ impl Worker {
         });
         let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
         self.guides = schedule::guides(&self.exploration, before);
+        if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
+            guide.renew(acting, &self.obs);
+        }
         for s in 0..order.steps {
             let at = before.saturating_add(u64::from(s));
             let epsilon = schedule::actor_epsilon(&self.exploration, at, self.index, self.actors);

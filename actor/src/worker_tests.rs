@@ -200,7 +200,33 @@ fn an_actor_that_is_led_goes_on_from_its_snapshot() {
     let mut other = bridged_corridor(&[]);
     other.waypoints.as_mut().unwrap().states.truncate(4);
     other.waypoints.as_mut().unwrap().transition_of = vec![0, NONE];
-    assert!(matches!(Worker::new(&other, 0).unwrap().restore(&bytes), Err(ActorError::Guide { index: 0 })));
+    let beyond = (0..9).any(|t| {
+        guided_batches(&mut worker, &acting, 100 + t, 1, 1);
+        let bytes = worker.snapshot().unwrap();
+        matches!(Worker::new(&other, 0).unwrap().restore(&bytes), Err(ActorError::Guide { index: 0 }))
+    });
+    assert!(beyond, "no state but the first two was ever come to");
+}
+
+#[test]
+fn an_own_path_is_followed_and_remembered() {
+    // The mentor's path ends where it begins.
+    let mut plan = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
+    plan.waypoints.as_mut().unwrap().states = vec![0.0; 12];
+    let mut worker = Worker::new(&plan, 0).unwrap();
+    let mut acting = leading(&plan, 1);
+    assert_eq!(guided_batches(&mut worker, &acting, 1, 1, 14)[0].header.guide.steps, 0);
+    acting.own = trestle_proto::acting::OwnPlaces {
+        lengths: vec![6],
+        places: (0..6).flat_map(|x| [x as f32, 0.0]).collect(),
+    };
+    assert!(guided_batches(&mut worker, &acting, 2, 1, 14)[0].header.guide.steps > 0);
+    let mut other = Worker::new(&plan, 0).unwrap();
+    other.restore(&worker.snapshot().unwrap()).unwrap();
+    assert_eq!(
+        guided_batches(&mut other, &acting, 3, 20, 13),
+        guided_batches(&mut worker, &acting, 3, 20, 13)
+    );
 }
 
 #[test]

@@ -12,7 +12,7 @@ use trestle_bench::walk::{Walk, World};
 use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
 use trestle_link::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::NONE;
-use trestle_proto::acting::{Acting, ActingHeader};
+use trestle_proto::acting::{Acting, ActingHeader, Room};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Part};
@@ -117,7 +117,7 @@ fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<
             let mut header = ActingHeader::default();
             learner.read_exact(bytes_of_mut(&mut header))?;
             learner.read_exact(cast_slice_mut(&mut received))?;
-            header.receive(plan.run, &actor.sizes, &received, &mut actor.acting)?;
+            header.receive(plan.run, &actor.sizes, &received, &Room::default(), &mut actor.acting)?;
         }
         let batch = actor.answer(&orders);
         for _ in 0..burst {

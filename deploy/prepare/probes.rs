@@ -46,7 +46,7 @@ impl Needs {
         let sizes = Sizes::of(plan);
         let actors = u64::from(plan.config.run.actors);
         // Adam's two moments of each parameter, with a header; a segment of shared memory; iceoryx2's books.
-        let optimizer = 8 * sizes.acting.words() as u64 + (64 << 10);
+        let optimizer = 8 * sizes.acting_words() as u64 + (64 << 10);
         let segment = sizes.largest_segment_bytes();
         Self {
             shared_memory: sizes.shared_memory_bytes(),

@@ -525,7 +525,9 @@ impl<'a> Session<'a> {
                 progress_mean: newest.progress / newest.episodes as f64,
                 guided_episodes: all.guided,
                 stuck_episodes: all.stuck,
+                own_paths: self.agent.own_paths() as u64,
                 loss: self.stats.policy_loss_mean(),
+                imitation_loss: self.stats.imitation_loss_mean(),
                 total_reward: self.guide_return.unwrap_or(f64::NAN),
             });
         }

@@ -1,8 +1,8 @@
 //! What actors act with: the Q-network's weights, and whatever guides their exploration. One value, which travels in one
 //! message, so that an actor never has parts of different moments.
 //!
-//! The payload of the message is, in 32-bit words: the weights, the table of known actions, and the parameters of the
-//! guiding policy. Parameters of a network are, layer by layer, the weights \[in\]\[out\] row-major and then the bias
+//! The payload of the message is, in 32-bit words: the weights, the table of known actions, the parameters of the guiding policy,
+//! the length of each own path, and their places. Parameters of a network are, layer by layer, the weights \[in\]\[out\] row-major and then the bias
 //! \[out\], all `f32`.
 
 use crate::limits::MAX_SIZES;
@@ -21,9 +21,59 @@ pub struct Acting {
     pub known: Vec<u32>,
     /// Parameters of the policy π of learned bridges; empty without them.
     pub policy: Vec<f32>,
+    /// Paths of the observer's own, along which learned bridges lead rather than along the mentor's.
+    pub own: OwnPlaces,
 }
 
-/// Entries of each part of an [`Acting`].
+/// Paths as the places that they pass, one path after the other.
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OwnPlaces {
+    /// Places of each path, 2 or more.
+    pub lengths: Vec<u32>,
+    /// All places, row-major, of as many numbers each as goals have features.
+    pub places: Vec<f32>,
+}
+
+/// As derived, but for `clone_from`, which keeps the memory.
+impl Clone for OwnPlaces {
+    fn clone(&self) -> Self {
+        Self { lengths: self.lengths.clone(), places: self.places.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        self.lengths.clone_from(&other.lengths);
+        self.places.clone_from(&other.places);
+    }
+}
+
+/// How many own paths a message may have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Room {
+    /// Numbers of a place; 0 without own paths.
+    pub dim: usize,
+    /// Paths at most.
+    pub paths: usize,
+    /// Places of one path at most.
+    pub places: usize,
+}
+
+impl Room {
+    /// Words of all paths at most.
+    pub fn words(&self) -> usize {
+        self.paths * (1 + self.places * self.dim)
+    }
+
+    /// Whether `own` fits in, with whole paths of finite numbers.
+    pub fn holds(&self, own: &OwnPlaces) -> bool {
+        let places: usize = own.lengths.iter().map(|&length| length as usize).sum();
+        own.lengths.len() <= self.paths
+            && own.lengths.iter().all(|&length| (2..=self.places).contains(&(length as usize)))
+            && own.places.len() == places * self.dim
+            && own.places.iter().all(|x| x.is_finite())
+    }
+}
+
+/// Entries of each part of an [`Acting`] that has always as many.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lengths {
     /// Parameters of the Q-network.
@@ -35,7 +85,7 @@ pub struct Lengths {
 }
 
 impl Lengths {
-    /// Words of the message.
+    /// Words of these parts.
     pub fn words(&self) -> usize {
         self.weights + self.known + self.policy
     }
@@ -51,24 +101,26 @@ impl fmt::Display for Lengths {
 /// As derived, but for `clone_from`, which allocates nothing where the lengths are the same.
 impl Clone for Acting {
     fn clone(&self) -> Self {
-        let Self { weights, known, policy } = self;
-        Self { weights: weights.clone(), known: known.clone(), policy: policy.clone() }
+        let Self { weights, known, policy, own } = self;
+        Self { weights: weights.clone(), known: known.clone(), policy: policy.clone(), own: own.clone() }
     }
 
     fn clone_from(&mut self, other: &Self) {
         self.weights.clone_from(&other.weights);
         self.known.clone_from(&other.known);
         self.policy.clone_from(&other.policy);
+        self.own.clone_from(&other.own);
     }
 }
 
 impl Acting {
-    /// All zero, with parts of these lengths.
+    /// All zero, with parts of these lengths and no own path.
     pub fn zeros(lengths: Lengths) -> Self {
         Self {
             weights: vec![0.0; lengths.weights],
             known: vec![0; lengths.known],
             policy: vec![0.0; lengths.policy],
+            own: OwnPlaces::default(),
         }
     }
 
@@ -77,37 +129,54 @@ impl Acting {
         Self { weights, ..Self::default() }
     }
 
-    /// The length of each part.
+    /// Words of the message's payload.
+    pub fn words(&self) -> usize {
+        self.lengths().words() + self.own.lengths.len() + self.own.places.len()
+    }
+
+    /// The length of each part but for own paths.
     pub fn lengths(&self) -> Lengths {
         Lengths { weights: self.weights.len(), known: self.known.len(), policy: self.policy.len() }
     }
 
-    /// Writes the message's payload into `out`, which has [`Lengths::words`] words.
+    /// Writes the message's payload into `out`, which has [`Acting::words`] words.
     ///
     /// # Panics
     /// If it has not.
     pub fn write(&self, out: &mut [u32]) {
         let (weights, rest) = out.split_at_mut(self.weights.len());
-        let (known, policy) = rest.split_at_mut(self.known.len());
+        let (known, rest) = rest.split_at_mut(self.known.len());
+        let (policy, rest) = rest.split_at_mut(self.policy.len());
+        let (lengths, places) = rest.split_at_mut(self.own.lengths.len());
         weights.copy_from_slice(cast_slice(&self.weights));
         known.copy_from_slice(&self.known);
         policy.copy_from_slice(cast_slice(&self.policy));
+        lengths.copy_from_slice(&self.own.lengths);
+        places.copy_from_slice(cast_slice(&self.own.places));
     }
 
-    /// Copies a payload of as many words as this has.
-    fn read(&mut self, payload: &[u32]) {
+    /// Copies a payload with this one's lengths, and behind these so many lengths of own paths.
+    fn read(&mut self, payload: &[u32], paths: usize) {
         let (weights, rest) = payload.split_at(self.weights.len());
-        let (known, policy) = rest.split_at(self.known.len());
+        let (known, rest) = rest.split_at(self.known.len());
+        let (policy, rest) = rest.split_at(self.policy.len());
+        let (lengths, places) = rest.split_at(paths);
         cast_slice_mut(&mut self.weights).copy_from_slice(weights);
         self.known.copy_from_slice(known);
         cast_slice_mut(&mut self.policy).copy_from_slice(policy);
+        self.own.lengths.clear();
+        self.own.lengths.extend_from_slice(lengths);
+        self.own.places.clear();
+        self.own.places.extend(places.iter().map(|&word| f32::from_bits(word)));
     }
 
     /// CRC-32C of the payload's bytes.
     fn checksum(&self) -> u32 {
         let crc = crc32c::crc32c(cast_slice(&self.weights));
         let crc = crc32c::crc32c_append(crc, cast_slice(&self.known));
-        crc32c::crc32c_append(crc, cast_slice(&self.policy))
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.policy));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.own.lengths));
+        crc32c::crc32c_append(crc, cast_slice(&self.own.places))
     }
 }
 
@@ -129,14 +198,14 @@ pub struct ActingHeader {
     pub policy: u32,
     /// How many of `sizes` are used.
     pub n_sizes: u32,
-    /// 0.
-    pub reserved: u32,
+    /// Own paths.
+    pub paths: u32,
     /// Units of the Q-network's input, of each hidden layer and of its output.
     pub sizes: [u32; MAX_SIZES],
 }
 
 impl Message for ActingHeader {
-    const TYPE_NAME: &'static str = "trestle.ActingHeader.v1";
+    const TYPE_NAME: &'static str = "trestle.ActingHeader.v2";
 }
 
 /// A message that cannot be acted with.
@@ -173,6 +242,16 @@ pub enum ActingError {
         /// Lengths in this run.
         expected: Lengths,
     },
+    /// Own paths that cannot be this run's.
+    #[error("own paths have lengths {lengths:?} and {numbers} numbers; accepted: finite ones, {room:?}")]
+    Own {
+        /// Places of each, the first ones.
+        lengths: Vec<u32>,
+        /// Numbers of all places.
+        numbers: usize,
+        /// What is accepted.
+        room: Room,
+    },
     /// Torn or damaged.
     #[error("weights version {version} have checksum {found:08x}; their header says {expected:08x}")]
     Checksum {
@@ -197,13 +276,14 @@ impl ActingHeader {
             known: known as u32,
             policy: policy as u32,
             n_sizes: sizes.len() as u32,
+            paths: acting.own.lengths.len() as u32,
             ..Self::default()
         };
         header.sizes[..sizes.len()].copy_from_slice(sizes);
         header
     }
 
-    /// Copies what a peer sent into `into`, which has this run's lengths, and checks the copy. A table of known actions is
+    /// Copies what a peer sent into `into`, which has this run's lengths, and checks the copy, whose own paths must fit into `room`. A table of known actions is
     /// taken as it is: who follows it checks each action.
     ///
     /// # Errors
@@ -213,6 +293,7 @@ impl ActingHeader {
         run: u64,
         sizes: &[u32],
         payload: &[u32],
+        room: &Room,
         into: &mut Acting,
     ) -> Result<(), ActingError> {
         if self.run != run {
@@ -224,11 +305,13 @@ impl ActingHeader {
         }
         let expected = into.lengths();
         let own = (self.known as usize, self.policy as usize) == (expected.known, expected.policy);
-        if !own || payload.len() != expected.words() {
+        let (paths, least) = (self.paths as usize, expected.words());
+        let most = least + room.words();
+        if !own || paths > room.paths || !(least + paths..=most).contains(&payload.len()) {
             let (words, known, policy) = (payload.len(), self.known, self.policy);
             return Err(ActingError::Lengths { words, known, policy, expected });
         }
-        into.read(payload);
+        into.read(payload, paths);
         let computed = into.checksum();
         if computed != self.checksum {
             return Err(ActingError::Checksum {
@@ -236,6 +319,11 @@ impl ActingHeader {
                 found: computed,
                 expected: self.checksum,
             });
+        }
+        if !room.holds(&into.own) {
+            let (lengths, numbers) = (into.own.lengths.clone(), into.own.places.len());
+            into.own = OwnPlaces::default();
+            return Err(ActingError::Own { lengths, numbers, room: *room });
         }
         Ok(())
     }
@@ -248,21 +336,29 @@ mod tests {
 
     #[test]
     fn a_message_is_taken_whole_or_not_at_all() {
-        let sizes = [1, 2];
-        let acting =
-            Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![7, NONE, 0], policy: vec![0.25, -8.0] };
-        let mut words = vec![0; acting.lengths().words()];
+        let (sizes, room) = ([1, 2], Room { dim: 2, paths: 2, places: 3 });
+        let acting = Acting {
+            weights: vec![0.5, -1.0, 2.0, 3.0],
+            known: vec![7, NONE, 0],
+            policy: vec![0.25, -8.0],
+            own: OwnPlaces { lengths: vec![2, 3], places: vec![0.5; 10] },
+        };
+        let mut words = vec![0; acting.words()];
         acting.write(&mut words);
         let header = ActingHeader::new(9, 0, 4, &sizes, &acting);
         let mut into = Acting::zeros(acting.lengths());
-        assert_eq!(header.receive(9, &sizes, &words, &mut into), Ok(()));
+        assert_eq!(header.receive(9, &sizes, &words, &room, &mut into), Ok(()));
         assert_eq!(into, acting);
         let refused = |header: &ActingHeader, run, sizes: &[u32], words: &[u32]| {
-            header.receive(run, sizes, words, &mut Acting::zeros(acting.lengths())).err()
+            header.receive(run, sizes, words, &room, &mut Acting::zeros(acting.lengths())).err()
         };
         assert!(matches!(refused(&header, 8, &sizes, &words), Some(ActingError::Run { .. })));
         assert!(matches!(refused(&header, 9, &[2, 1], &words), Some(ActingError::Sizes { .. })));
-        assert!(matches!(refused(&header, 9, &sizes, &words[1..]), Some(ActingError::Lengths { .. })));
+        let long = [&words[..], &[0; 9]].concat();
+        for words in [&words[..10], &long] {
+            assert!(matches!(refused(&header, 9, &sizes, words), Some(ActingError::Lengths { .. })));
+        }
+        assert!(matches!(refused(&header, 9, &sizes, &words[1..]), Some(ActingError::Checksum { .. })));
         // As long in all, but cut at another place.
         let other = ActingHeader { known: 2, policy: 3, ..header };
         assert!(matches!(refused(&other, 9, &sizes, &words), Some(ActingError::Lengths { .. })));
@@ -274,8 +370,25 @@ mod tests {
     }
 
     #[test]
+    fn own_paths_must_be_whole_and_fit_in() {
+        let room = Room { dim: 2, paths: 2, places: 3 };
+        let refused = |lengths: &[u32], places: &[f32]| {
+            let own = OwnPlaces { lengths: lengths.to_vec(), places: places.to_vec() };
+            let acting = Acting { own, ..Acting::default() };
+            let mut words = vec![0; acting.words()];
+            acting.write(&mut words);
+            let header = ActingHeader::new(9, 0, 4, &[], &acting);
+            header.receive(9, &[], &words, &room, &mut Acting::default()).is_err()
+        };
+        assert!(!refused(&[], &[]) && !refused(&[3], &[1.0; 6]) && !refused(&[3, 3], &[1.0; 12]));
+        assert!(refused(&[1], &[1.0; 2]) && refused(&[4], &[1.0; 8]) && refused(&[2, 2, 2], &[1.0; 12]));
+        assert!(refused(&[2], &[1.0; 5]) && refused(&[2], &[1.0, 1.0, f32::NAN, 1.0]));
+    }
+
+    #[test]
     fn copying_over_keeps_the_memory() {
-        let acting = Acting { weights: vec![1.0; 3], known: vec![2; 2], policy: vec![3.0; 4] };
+        let own = OwnPlaces { lengths: vec![2], places: vec![5.0; 2] };
+        let acting = Acting { weights: vec![1.0; 3], known: vec![2; 2], policy: vec![3.0; 4], own };
         let mut copy = Acting::zeros(acting.lengths());
         let before = copy.weights.as_ptr();
         copy.clone_from(&acting);

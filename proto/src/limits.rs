@@ -20,6 +20,12 @@ pub const MAX_REPLAY: usize = 100_000_000;
 pub const MAX_N_STEP: usize = 64;
 /// Most steps between a state and the later one that a learned bridge takes for its goal (`mentor.learned.horizon`).
 pub const MAX_HORIZON: usize = 64;
+/// Most paths of its own that an observer keeps (`mentor.learned.own_paths`).
+pub const MAX_OWN_PATHS: usize = 64;
+/// Most places of one of them; a longer one is not kept.
+pub const MAX_OWN_PLACES: usize = 4096;
+/// Most numbers of the places of all of them: half a megabyte in each message.
+pub const MAX_OWN_NUMBERS: usize = 1 << 17;
 /// Most transitions in a demonstration.
 pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
 /// Most demonstrations that a run learns from.

@@ -1,10 +1,10 @@
 //! The plan of a run: all that a child process needs to know, written by the supervisor into the run's directory before
 //! a child starts.
 
-use crate::acting::Lengths;
+use crate::acting::{Lengths, Room};
 use crate::codec::{self, CodecError, Kind};
 use crate::config::{Config, EncodingKind, GuideKind, Mode};
-use crate::limits::TRANSITIONS_BUFFER;
+use crate::limits::{MAX_OWN_NUMBERS, MAX_OWN_PLACES, TRANSITIONS_BUFFER};
 use crate::space::{EnvSpec, Success, least};
 use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
@@ -79,6 +79,16 @@ impl RunPlan {
         };
         let hidden = self.config.learner.hidden.iter().copied();
         std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect()
+    }
+
+    /// How many own paths actors may get.
+    pub fn own_room(&self) -> Room {
+        let learned = &self.config.mentor.learned;
+        let (dim, paths) = (learned.features.len(), learned.own_paths);
+        if self.config.guide() != Some(GuideKind::Learned) || dim * paths == 0 {
+            return Room::default();
+        }
+        Room { dim, paths, places: (MAX_OWN_NUMBERS / (dim * paths)).min(MAX_OWN_PLACES) }
     }
 
     /// Units of the input, the hidden layers and the output of the policy π of learned bridges: it sees a state as the

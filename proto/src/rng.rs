@@ -30,6 +30,8 @@ pub enum Purpose {
     PolicyWeights = 9,
     /// Draws from the replay for that policy.
     PolicyReplay = 10,
+    /// Draws from own paths.
+    Imitation = 11,
     /// What a mentor of a suite's task does; no run draws from it.
     Demonstration = 32,
 }

@@ -4,17 +4,16 @@
 use crate::policy::unit;
 use crate::worker::ActorError;
 use serde::{Deserialize, Serialize};
-use trestle_algorithm::learned_bridges::{
-    Goal, MentorPath, Pace, Tracker, draw, path_of, policy_of, softmax,
-};
+use trestle_algorithm::learned_bridges::{Goal, Pace, Paths, Tracker, draw, paths_of, policy_of, softmax};
 use trestle_algorithm::similarity::Hit;
+use trestle_proto::acting::{Acting, OwnPlaces, Room};
 use trestle_proto::batch::Tally;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::Stream;
 use trestle_proto::space::Success;
 use trestle_qnet::{Layout, Workspace, argmax, forward, kernels_of};
 
-/// π's network, the mentor's path, and where this actor is on it.
+/// π's network, the paths that it leads along, and where this actor is on them.
 pub struct Learned {
     route: Route,
     layout: Layout,
@@ -25,12 +24,14 @@ pub struct Learned {
     tally: Tally,
     /// What counts as an episode's success.
     success: Success,
+    /// How many own paths there may be.
+    room: Room,
 }
 
-/// The mentor's path as π sees it, and working memory to find places on it.
+/// Paths as π sees them, and working memory to find places on them.
 struct Route {
     goal: Goal,
-    path: MentorPath,
+    paths: Paths,
     pace: Pace,
     place: Vec<f32>,
     stack: Vec<u32>,
@@ -42,14 +43,14 @@ impl Route {
     fn begin(&mut self, tracker: &mut Tracker, obs: &[f32]) {
         self.place.clear();
         self.goal.place(obs, &mut self.place);
-        tracker.observe(&self.path, &self.pace, &self.place, &mut self.stack, &mut self.hits);
+        tracker.observe(&self.paths, &self.pace, &self.place, &mut self.stack, &mut self.hits);
     }
 
     /// Lets `tracker` see `obs`, to which a step has led.
     fn follow(&mut self, tracker: &mut Tracker, obs: &[f32]) {
         self.place.clear();
         self.goal.place(obs, &mut self.place);
-        tracker.follow(&self.path, &self.pace, &self.place, &mut self.stack, &mut self.hits);
+        tracker.follow(&self.paths, &self.pace, &self.place, &mut self.stack, &mut self.hits);
     }
 }
 
@@ -59,6 +60,8 @@ pub struct Progress {
     tracker: Tracker,
     /// Return of the episode so far, as it is reported.
     total_reward: f64,
+    /// The own paths that the tracker knows.
+    own: OwnPlaces,
 }
 
 impl Learned {
@@ -68,20 +71,32 @@ impl Learned {
     /// Settings that give no network.
     pub fn new(plan: &RunPlan) -> Result<Option<Self>, ActorError> {
         let Some((goal, layout)) = policy_of(plan)? else { return Ok(None) };
-        let Some(path) = path_of(plan, &goal) else { return Ok(None) };
+        let Some(paths) = paths_of(plan, &goal) else { return Ok(None) };
         let pace = Pace::of(&plan.config.mentor.learned);
-        let progress = Progress { tracker: Tracker::default(), total_reward: 0.0 };
+        let (tracker, own) = (Tracker::default(), OwnPlaces::default());
+        let progress = Progress { tracker, total_reward: 0.0, own };
         let place = Vec::with_capacity(goal.dim());
         Ok(Some(Self {
-            route: Route { goal, path, pace, place, stack: Vec::new(), hits: Vec::new() },
+            route: Route { goal, paths, pace, place, stack: Vec::new(), hits: Vec::new() },
             workspace: Workspace::with_kernels(&layout, 1, kernels_of(plan)?),
             input: vec![0.0; layout.input()],
             outputs: vec![0.0; layout.output()],
             progress,
             tally: Tally::default(),
             success: plan.success(),
+            room: plan.own_room(),
             layout,
         }))
+    }
+
+    /// Takes over the own paths in `acting` if they are others; the episode is in `obs`.
+    pub fn renew(&mut self, acting: &Acting, obs: &[f32]) {
+        if self.progress.own != acting.own {
+            self.progress.own.clone_from(&acting.own);
+            self.route.paths.set_own(&acting.own);
+            self.progress.tracker.renew();
+            self.route.begin(&mut self.progress.tracker, obs);
+        }
     }
 
     /// An episode begins in `obs`. Draws one word, which decides whether it is guided.
@@ -110,8 +125,9 @@ impl Learned {
 
     /// An action of π in `obs`, drawn with one word of `rng`, if there is a goal to lead to. `params` are π's.
     pub fn action(&mut self, obs: &[f32], params: &[f32], rng: &mut Stream) -> Option<u32> {
-        let goal = self.progress.tracker.goal(&self.route.path, &self.route.pace)?;
-        self.forward(goal, obs, params);
+        let goal = self.progress.tracker.goal(&self.route.paths, &self.route.pace)?;
+        self.route.goal.encode(obs, goal, &mut self.input);
+        self.forward(params);
         softmax(&mut self.outputs);
         self.tally.steps += 1;
         Some(draw(&self.outputs, unit(rng)) as u32)
@@ -124,18 +140,18 @@ impl Learned {
         tracker
     }
 
-    /// π's likeliest action in `obs`, where `tracker` has not been yet; the first one of several. Before the path has been found
-    /// it leads to its beginning. It never lets go.
+    /// π's likeliest action in `obs`, where `tracker` has not been yet; the first one of several. Before a path has been found it
+    /// leads to where the observer is. It never lets go.
     pub fn lead(&mut self, tracker: &mut Tracker, obs: &[f32], params: &[f32]) -> u32 {
         self.route.begin(tracker, obs);
-        let goal = tracker.goal(&self.route.path, &self.route.pace).unwrap_or(0);
-        self.forward(goal, obs, params);
+        let goal = tracker.next(&self.route.paths, &self.route.pace).unwrap_or(&self.route.place);
+        self.route.goal.encode(obs, goal, &mut self.input);
+        self.forward(params);
         argmax(&self.outputs) as u32
     }
 
-    /// π's outputs in `obs` with the mentor state `goal`.
-    fn forward(&mut self, goal: usize, obs: &[f32], params: &[f32]) {
-        self.route.goal.encode(obs, self.route.path.state(goal), &mut self.input);
+    /// π's outputs for its input.
+    fn forward(&mut self, params: &[f32]) {
         forward(&self.layout, params, &self.input, 1, &mut self.workspace, &mut self.outputs);
     }
 
@@ -151,11 +167,15 @@ impl Learned {
 
     /// Whether `progress` can be one of this guide.
     pub fn fits(&self, progress: &Progress) -> bool {
-        progress.total_reward.is_finite() && progress.tracker.fits(&self.route.path)
+        let own = progress.own.lengths.iter().map(|&length| length as usize).sum();
+        progress.total_reward.is_finite()
+            && self.room.holds(&progress.own)
+            && progress.tracker.fits(self.route.paths.mentor().len(), own)
     }
 
     /// Goes on from `progress`, which [`Learned::fits`].
     pub fn restore(&mut self, progress: Progress) {
+        self.route.paths.set_own(&progress.own);
         self.progress = progress;
     }
 }

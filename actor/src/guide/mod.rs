@@ -34,6 +34,13 @@ impl Guide {
         known.map_or_else(learned, |known| Ok(Some(known)))
     }
 
+    /// Steps are about to be taken with `acting`, the first of them in `obs`.
+    pub fn renew(&mut self, acting: &Acting, obs: &[f32]) {
+        if let Self::Learned(guide) = self {
+            guide.renew(acting, obs);
+        }
+    }
+
     /// The action in `obs`, if the guide has one. A learned guide draws it from `rng`.
     pub fn action(&mut self, obs: &[f32], acting: &Acting, rng: &mut Stream) -> Option<u32> {
         match self {

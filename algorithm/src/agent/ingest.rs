@@ -63,20 +63,25 @@ impl Agent {
             self.counters.env_steps += 1;
             ingested.consumed += 1;
             let running = &mut self.running[batch.header.actor as usize];
+            if running.length == 0 {
+                running.first = self.replay.next_index() - 1;
+            }
             let said = transition.succeeded();
             running.total_reward += reported(transition.reward, said, self.settings.goal_bonus);
             running.length += 1;
             if transition.ends_episode() {
-                let Running { total_reward, length } = std::mem::take(running);
+                let Running { total_reward, length, first } = std::mem::take(running);
+                let success = self.settings.success.of(said, total_reward);
+                if let Some(own) = &mut self.own
+                    && own.take(&self.replay, first, length, success)
+                {
+                    own.publish(&mut self.acting.own);
+                }
                 self.counters.episodes += 1;
                 ingested.finished.push(FinishedEpisode {
                     actor: batch.header.actor,
                     counters: self.counters,
-                    episode: Episode {
-                        total_reward,
-                        length,
-                        success: self.settings.success.of(said, total_reward),
-                    },
+                    episode: Episode { total_reward, length, success },
                 });
             }
         }

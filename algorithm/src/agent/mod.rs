@@ -28,7 +28,7 @@ pub use ingest::{FinishedEpisode, Ingested};
 pub use state::{AgentState, Parts};
 pub use stats::{MentorSummary, TrainStats};
 
-use crate::learned_bridges::{Hindsight, hindsight_of};
+use crate::learned_bridges::{Hindsight, Imitation, OwnPaths, hindsight_of, imitation_of, own_of};
 use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
 use crate::replay::Replay;
 use crate::shaping::Shaping;
@@ -60,6 +60,9 @@ pub struct Agent {
     shaping: Option<Shaping>,
     /// What learns the policy that guides, with learned bridges.
     hindsight: Option<Hindsight>,
+    /// Own paths, and what imitates them.
+    own: Option<OwnPaths>,
+    imitation: Option<Imitation>,
     /// Draws from the replay.
     rng: Stream,
     counters: Counters,
@@ -141,6 +144,8 @@ impl MentorSide {
 struct Running {
     total_reward: f64,
     length: u64,
+    /// Global index of its first transition in the replay.
+    first: u64,
 }
 
 impl Agent {
@@ -177,6 +182,8 @@ impl Agent {
             network,
             shaping: Shaping::new(plan)?,
             hindsight,
+            own: own_of(plan)?,
+            imitation: imitation_of(plan)?,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
@@ -263,6 +270,11 @@ impl Agent {
     /// `dqn`. Looks at each of them.
     pub fn mentor_summary(&self, range: Range<usize>) -> Option<MentorSummary> {
         Some(MentorSummary::of(&self.settings.rule, self.mentor.as_ref()?, range))
+    }
+
+    /// Own paths that are kept; 0 without learned bridges.
+    pub fn own_paths(&self) -> usize {
+        self.own.as_ref().map_or(0, |own| own.paths().len())
     }
 
     /// Searches for bridges that met their limit so far; none for `dqn`.

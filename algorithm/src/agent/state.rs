@@ -2,7 +2,7 @@
 
 use super::Counters;
 use super::{Agent, AgentError, MentorSide, Running};
-use crate::learned_bridges::{Hindsight, HindsightState};
+use crate::learned_bridges::{Hindsight, HindsightState, OwnPath, OwnPaths};
 use serde::{Deserialize, Serialize};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rng::Stream;
@@ -17,8 +17,8 @@ pub struct AgentState {
     trained_to: u64,
     /// The stream that draws from the replay.
     rng: Stream,
-    /// Return and length of each actor's unfinished episode.
-    running: Vec<(f64, u64)>,
+    /// Return, length and first transition of each actor's unfinished episode.
+    running: Vec<(f64, u64, u64)>,
     /// Training counts of the mentor transitions.
     trained: Vec<u32>,
     /// For each mentor transition how often it was picked for an observer transition, and used in a sample's loss.
@@ -28,6 +28,9 @@ pub struct AgentState {
     searches_cut_short: u64,
     /// What learns the policy of learned bridges.
     hindsight: Option<HindsightState>,
+    /// Own paths, and the stream that draws from them.
+    own: Vec<OwnPath>,
+    imitation: Option<Stream>,
     /// CRC-32C of the demonstration, so that an agent never goes on with another one.
     demonstration: u32,
 }
@@ -71,12 +74,14 @@ impl Agent {
             counters: self.counters,
             trained_to: self.trained_to,
             rng: self.rng.clone(),
-            running: self.running.iter().map(|r| (r.total_reward, r.length)).collect(),
+            running: self.running.iter().map(|r| (r.total_reward, r.length, r.first)).collect(),
             trained: self.mentor.as_ref().map(|mentor| mentor.trained.clone()).unwrap_or_default(),
             visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
             used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
             searches_cut_short: self.searches_cut_short().unwrap_or(0),
             hindsight: self.hindsight.as_ref().map(|hindsight| hindsight.state().clone()),
+            own: self.own.as_ref().map(|own| own.paths().to_vec()).unwrap_or_default(),
+            imitation: self.imitation.as_ref().map(|imitation| imitation.rng().clone()),
             demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
         }
     }
@@ -133,6 +138,22 @@ impl Agent {
                 accepted: params(self.hindsight.as_ref().map(Hindsight::state)),
             });
         }
+        let obs_dim = self.replay.obs_dim();
+        let own = match &mut self.own {
+            Some(own) => own.restore(&state.own, obs_dim),
+            None => state.own.is_empty(),
+        };
+        if !own {
+            let most = self.own.as_ref().map_or(0, OwnPaths::most) as u64;
+            return Err(AgentError::Restore {
+                what: "the number of own paths that are whole",
+                found: state.own.len() as u64,
+                accepted: most,
+            });
+        }
+        if let (Some(imitation), Some(rng)) = (&mut self.imitation, &state.imitation) {
+            imitation.restore(rng);
+        }
         if let Some(mentor) = &mut self.mentor {
             mentor.annotations.apply(&parts.annotations)?;
             mentor.trained.copy_from_slice(&state.trained);
@@ -146,6 +167,9 @@ impl Agent {
         if let Some(hindsight) = &self.hindsight {
             self.acting.policy.copy_from_slice(hindsight.params());
         }
+        if let Some(own) = &self.own {
+            own.publish(&mut self.acting.own);
+        }
         (0..mentor_len).for_each(|j| self.renew_known(j));
         if let Some(shaping) = &mut self.shaping {
             shaping.store_all(&self.replay);
@@ -154,8 +178,11 @@ impl Agent {
         self.counters = state.counters;
         self.trained_to = state.trained_to;
         self.rng = state.rng.clone();
-        self.running =
-            state.running.iter().map(|&(total_reward, length)| Running { total_reward, length }).collect();
+        self.running = state
+            .running
+            .iter()
+            .map(|&(total_reward, length, first)| Running { total_reward, length, first })
+            .collect();
         Ok(())
     }
 

@@ -29,6 +29,10 @@ pub struct TrainStats {
     pub policy_steps: u64,
     /// Sum over these updates of the mean loss of their samples, nats.
     pub policy_loss_sum: f64,
+    /// Gradient steps that imitated own paths.
+    pub imitation_steps: u64,
+    /// Sum over these steps of the mean loss of the imitated steps, weighted as it was trained.
+    pub imitation_loss_sum: f64,
 }
 
 impl TrainStats {
@@ -45,6 +49,8 @@ impl TrainStats {
         self.grad_norm_sum += other.grad_norm_sum;
         self.policy_steps += other.policy_steps;
         self.policy_loss_sum += other.policy_loss_sum;
+        self.imitation_steps += other.imitation_steps;
+        self.imitation_loss_sum += other.imitation_loss_sum;
     }
 
     /// Mean loss of a sample; NaN without any.
@@ -65,6 +71,11 @@ impl TrainStats {
     /// Mean loss of a sample of learned bridges, nats; NaN without any.
     pub fn policy_loss_mean(&self) -> f64 {
         self.policy_loss_sum / self.policy_steps as f64
+    }
+
+    /// Mean loss of imitation; NaN without any.
+    pub fn imitation_loss_mean(&self) -> f64 {
+        self.imitation_loss_sum / self.imitation_steps as f64
     }
 
     /// Mean norm of the gradient before clipping; NaN without any.

@@ -72,6 +72,12 @@ impl Agent {
         }
         step.forward_targets(&self.network, settings)?;
         step.differentiate(&self.network, settings, stats)?;
+        if let (Some(imitation), Some(own)) = (&mut self.imitation, &self.own)
+            && let Some(loss) = imitation.add_gradient(&self.network, &self.encoding, own, &mut step.grad)?
+        {
+            stats.imitation_steps += 1;
+            stats.imitation_loss_sum += loss;
+        }
 
         let (adam, grad) = (&mut self.adam, &mut step.grad);
         let (kernels, max_norm) = (step.workspace.kernels(), settings.learner.max_grad_norm as f32);

@@ -38,15 +38,15 @@ impl Goal {
         out.extend(self.features.iter().zip(&self.scale).map(|(&f, scale)| state[f] / scale));
     }
 
-    /// Writes the input for `state` and `goal`, whole states both, to `out` (`[input_dim]`).
+    /// Writes the input for `state`, a whole one, and the place of a goal to `out` (`[input_dim]`).
     ///
     /// # Panics
     /// If a slice has another length.
     pub fn encode(&self, state: &[f32], goal: &[f32], out: &mut [f32]) {
         let (own, way) = out.split_at_mut(self.encoding.input_dim());
         self.encoding.encode(state, own);
-        for ((out, &f), scale) in way.iter_mut().zip(&self.features).zip(&self.scale) {
-            *out = (goal[f] - state[f]) / scale;
+        for (((out, &f), scale), goal) in way.iter_mut().zip(&self.features).zip(&self.scale).zip(goal) {
+            *out = goal - state[f] / scale;
         }
     }
 }

@@ -47,6 +47,7 @@ pub struct Hindsight {
     /// Slot of each sample's state, and of the transition that ends in its goal.
     pairs: Vec<(usize, usize)>,
     path: Vec<usize>,
+    place: Vec<f32>,
     workspace: Workspace,
     x: Vec<f32>,
     /// Outputs of the network, then the loss's derivatives by them.
@@ -69,6 +70,7 @@ impl Hindsight {
             slots: Vec::with_capacity(config.batch),
             pairs: Vec::with_capacity(config.batch),
             path: Vec::with_capacity(config.horizon),
+            place: Vec::with_capacity(goal.dim()),
             workspace: Workspace::with_kernels(&layout, config.batch, kernels),
             x: vec![0.0; config.batch * layout.input()],
             outputs: vec![0.0; config.batch * layout.output()],
@@ -136,8 +138,9 @@ impl Hindsight {
         }
         let (width, n_actions) = (self.layout.input(), self.layout.output());
         for (&(slot, last), x) in self.pairs.iter().zip(self.x.chunks_exact_mut(width)) {
-            let (state, goal) = (replay.get(slot).transition.obs, replay.get(last).transition.next_obs);
-            self.goal.encode(state, goal, x);
+            self.place.clear();
+            self.goal.place(replay.get(last).transition.next_obs, &mut self.place);
+            self.goal.encode(replay.get(slot).transition.obs, &self.place, x);
         }
         let (params, x) = (&self.state.params, &self.x[..rows * width]);
         let outputs = &mut self.outputs[..rows * n_actions];

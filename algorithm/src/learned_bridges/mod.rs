@@ -9,7 +9,9 @@
 //!    was taken in s_t is a good one for reaching s_(t+h), whatever was wanted at the time;
 //! 3. [`path`]: the mentor's path as points and lengths, and the state to aim at;
 //! 4. [`tracker`]: how far along the path an episode is, in which episodes the guide is used, and where it lets go;
-//! 5. [`setup`]: all of these for a run.
+//! 5. [`own`]: how the observer itself once came to success, which takes the mentor's place;
+//! 6. [`imitation`]: how the Q-network imitates that;
+//! 7. [`setup`]: all of these for a run.
 //!
 //! Q-learning knows nothing of this: it trains on the real rewards of what was done. π draws an exploring step's action,
 //! with a probability that falls with ε; drawing rather than taking the likeliest keeps it from repeating a mistake for
@@ -17,6 +19,8 @@
 
 pub mod goal;
 pub mod hindsight;
+pub mod imitation;
+pub mod own;
 pub mod path;
 pub mod setup;
 pub mod tracker;
@@ -26,6 +30,8 @@ mod tests;
 
 pub use goal::{Goal, draw, softmax};
 pub use hindsight::{Hindsight, HindsightConfig, HindsightState};
-pub use path::MentorPath;
-pub use setup::{LearnedError, hindsight_of, path_of, policy_of, resolve};
+pub use imitation::{Imitation, ImitationConfig};
+pub use own::{OwnPath, OwnPaths};
+pub use path::{Path, Paths, Place};
+pub use setup::{LearnedError, hindsight_of, imitation_of, own_of, path_of, paths_of, policy_of, resolve};
 pub use tracker::{Pace, Tracker};

@@ -1,48 +1,56 @@
-//! The mentor's path as a guide sees it: points among goals, the way covered up to each, and the state to aim at.
+//! The paths that a guide leads along: points among goals, the way covered up to each, and the one to aim at.
 //!
 //! All lengths are Euclidean in the chosen features, each in units of its scale. One trajectory's lengths begin at 0.
 
 use super::goal::Goal;
 use crate::similarity::{Hit, Similarity};
+use serde::{Deserialize, Serialize};
 use trestle_proto::NONE;
+use trestle_proto::acting::OwnPlaces;
 use trestle_proto::waypoints::Waypoints;
 
-/// The states of all demonstrations, ready for a tracker.
+/// Trajectories of places, ready for a tracker.
 #[derive(Clone, Debug)]
-pub struct MentorPath {
-    dim: usize,
-    states: Vec<f32>,
+pub struct Path {
     index: Similarity,
-    /// The way covered from the beginning of its trajectory to each state.
+    /// The way covered from the beginning of its trajectory to each place.
     length: Vec<f32>,
-    /// The last state of each state's trajectory.
+    /// The last place of each place's trajectory.
     end: Vec<u32>,
 }
 
-impl MentorPath {
-    /// The path of `waypoints`, states of `dim` features, at least one. A state of the observer is on it within `radius`
-    /// (above 0).
-    pub fn new(waypoints: &Waypoints, dim: usize, goal: &Goal, radius: f32) -> Self {
-        let mut places = Vec::new();
-        waypoints.states.chunks_exact(dim).for_each(|state| goal.place(state, &mut places));
-        let place = |m: usize| &places[m * goal.dim()..][..goal.dim()];
-        let count = waypoints.transition_of.len();
-        let (mut length, mut end) = (vec![0.0; count], vec![0; count]);
-        for m in 1..count {
-            if waypoints.transition_of[m - 1] != NONE {
-                length[m] = length[m - 1] + distance(place(m - 1), place(m));
+impl Path {
+    /// The trajectories with so many places each, one after the other in `places` (row-major, `dim` numbers, at least one
+    /// place). The observer is at a place within `radius` (above 0).
+    pub fn new(places: Vec<f32>, dim: usize, trajectories: &[u32], radius: f32) -> Self {
+        let place = |m: usize| &places[m * dim..][..dim];
+        let (mut length, mut end): (Vec<f32>, Vec<u32>) = (Vec::new(), Vec::new());
+        for &count in trajectories {
+            let (first, count) = (length.len(), count as usize);
+            end.resize(first + count, (first + count - 1) as u32);
+            let mut covered = 0.0;
+            for m in first..first + count {
+                if m > first {
+                    covered += distance(place(m - 1), place(m));
+                }
+                length.push(covered);
             }
         }
-        for m in (0..count).rev() {
-            let last = waypoints.transition_of[m] == NONE || m + 1 == count;
-            end[m] = if last { m as u32 } else { end[m + 1] };
-        }
         // KL with unit variances is half the squared distance.
-        let index = Similarity::new(places, goal.dim(), 0.5 * radius * radius);
-        Self { dim, states: waypoints.states.clone(), index, length, end }
+        Self { index: Similarity::new(places, dim, 0.5 * radius * radius), length, end }
     }
 
-    /// Number of mentor states.
+    /// The mentor's path: that of `waypoints`, states of `dim` features, at least one.
+    pub fn of_mentor(waypoints: &Waypoints, dim: usize, goal: &Goal, radius: f32) -> Self {
+        let mut places = Vec::new();
+        waypoints.states.chunks_exact(dim).for_each(|state| goal.place(state, &mut places));
+        let last = |transition: &u32| *transition == NONE;
+        let trajectories: Vec<u32> =
+            waypoints.transition_of.split_inclusive(last).map(|states| states.len() as u32).collect();
+        Self::new(places, goal.dim(), &trajectories, radius)
+    }
+
+    /// Number of places.
     pub fn len(&self) -> usize {
         self.length.len()
     }
@@ -52,38 +60,92 @@ impl MentorPath {
         self.length.is_empty()
     }
 
-    /// Mentor state `m`, whole.
-    pub fn state(&self, m: usize) -> &[f32] {
-        &self.states[m * self.dim..][..self.dim]
+    /// Place `m`.
+    pub fn place(&self, m: usize) -> &[f32] {
+        self.index.state(m)
     }
 
-    /// The way covered up to mentor state `m`.
+    /// The way covered up to place `m`.
     pub fn length(&self, m: usize) -> f32 {
         self.length[m]
     }
 
-    /// The last state of `m`'s trajectory.
+    /// The last place of `m`'s trajectory.
     pub fn end(&self, m: usize) -> usize {
         self.end[m] as usize
     }
 
-    /// Share of its trajectory's way that is covered at mentor state `m`, 0 to 1; 1 at the end of one that goes nowhere.
+    /// Share of its trajectory's way that is covered at place `m`, 0 to 1; 1 at the end of one that goes nowhere.
     pub fn share(&self, m: usize) -> f32 {
         let whole = self.length[self.end(m)];
         if whole > 0.0 { self.length[m] / whole } else { 1.0 }
     }
 
-    /// The state to aim at from mentor state `m`: the first of its trajectory that lies at least `ahead` further along,
-    /// else the last one.
+    /// The place to aim at from place `m`: the first of its trajectory that lies at least `ahead` further along, else the last
+    /// one.
     pub fn ahead(&self, m: usize, ahead: f32) -> usize {
         let rest = &self.length[m..=self.end(m)];
         let goal = m + rest.partition_point(|&length| length < self.length[m] + ahead);
         goal.min(self.end(m))
     }
 
-    /// Fills `hits` with the mentor states within the radius of `place`, in ascending order.
+    /// Fills `hits` with the places within the radius of `place`, in ascending order. `stack` is working memory.
     pub fn near(&self, place: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         self.index.states(place, stack, hits);
+    }
+}
+
+/// A place on one of the paths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Place {
+    /// Whether it is on an own path rather than the mentor's.
+    pub own: bool,
+    /// Its number there.
+    pub number: u32,
+}
+
+/// The mentor's path, and the observer's own, which go before it.
+#[derive(Clone, Debug)]
+pub struct Paths {
+    mentor: Path,
+    own: Option<Path>,
+    radius: f32,
+    dim: usize,
+}
+
+impl Paths {
+    /// The mentor's alone, of places with `dim` numbers and reached within `radius`.
+    pub fn new(mentor: Path, dim: usize, radius: f32) -> Self {
+        Self { mentor, own: None, radius, dim }
+    }
+
+    /// Takes these own paths.
+    pub fn set_own(&mut self, own: &OwnPlaces) {
+        let some = !own.lengths.is_empty();
+        self.own = some.then(|| Path::new(own.places.clone(), self.dim, &own.lengths, self.radius));
+    }
+
+    /// The path that the place is on.
+    pub fn of(&self, place: Place) -> &Path {
+        self.own.as_ref().filter(|_| place.own).unwrap_or(&self.mentor)
+    }
+
+    /// The mentor's path.
+    pub fn mentor(&self) -> &Path {
+        &self.mentor
+    }
+
+    /// Fills `hits` with the places of own paths within the radius of `place`, in ascending order, or if there are none with those
+    /// of the mentor's path. Returns which they are.
+    pub(super) fn near(&self, place: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) -> bool {
+        if let Some(own) = &self.own {
+            own.near(place, stack, hits);
+            if !hits.is_empty() {
+                return true;
+            }
+        }
+        self.mentor.near(place, stack, hits);
+        false
     }
 }
 

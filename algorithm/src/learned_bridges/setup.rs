@@ -2,8 +2,11 @@
 
 use super::goal::Goal;
 use super::hindsight::{Hindsight, HindsightConfig};
-use super::path::{MentorPath, distance};
+use super::imitation::{Imitation, ImitationConfig};
+use super::own::OwnPaths;
+use super::path::{Path, Paths, distance};
 use crate::demonstration::Demonstration;
+use trestle_proto::NONE;
 use trestle_proto::config::{GuideKind, Learned};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, stream};
@@ -50,7 +53,9 @@ pub enum LearnedError {
 pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) -> Result<(), LearnedError> {
     let dim = spec.obs_dim();
     if learned.features.is_empty() {
-        learned.features = (0..dim).filter(|feature| !spec.velocities.contains(feature)).collect();
+        let counts =
+            |feature: &usize| !spec.velocities.contains(feature) && !spec.categories.contains(feature);
+        learned.features = (0..dim).filter(counts).collect();
     }
     let features = &learned.features;
     let ascending = features.is_sorted_by(|a, b| a < b);
@@ -98,10 +103,30 @@ pub fn policy_of(plan: &RunPlan) -> Result<Option<(Goal, Layout)>, PlanError> {
     Ok(Some((goal, Layout::new(&sizes)?)))
 }
 
-/// The mentor's path in `plan`'s run, along which a tracker goes; none without learned bridges.
-pub fn path_of(plan: &RunPlan, goal: &Goal) -> Option<MentorPath> {
+/// The mentor's path in `plan`'s run; none without learned bridges.
+pub fn path_of(plan: &RunPlan, goal: &Goal) -> Option<Path> {
     let waypoints = plan.waypoints.as_ref().filter(|_| plan.config.guide() == Some(GuideKind::Learned))?;
-    Some(MentorPath::new(waypoints, plan.spec.obs_dim(), goal, plan.config.mentor.learned.radius as f32))
+    let radius = plan.config.mentor.learned.radius as f32;
+    Some(Path::of_mentor(waypoints, plan.spec.obs_dim(), goal, radius))
+}
+
+/// The paths along which a tracker goes in `plan`'s run, to begin with the mentor's alone; none without learned bridges.
+pub fn paths_of(plan: &RunPlan, goal: &Goal) -> Option<Paths> {
+    Some(Paths::new(path_of(plan, goal)?, goal.dim(), plan.config.mentor.learned.radius as f32))
+}
+
+/// What keeps own paths in `plan`'s run, none yet; nothing without learned bridges, or with `own_paths = 0`.
+///
+/// # Errors
+/// Settings that give no network.
+pub fn own_of(plan: &RunPlan) -> Result<Option<OwnPaths>, PlanError> {
+    let room = plan.own_room();
+    let Some((goal, _)) = policy_of(plan)?.filter(|_| room.paths > 0) else { return Ok(None) };
+    let ends = plan.waypoints.iter().flat_map(|waypoints| {
+        let states = waypoints.states.chunks_exact(plan.spec.obs_dim()).zip(&waypoints.transition_of);
+        states.filter(|(_, transition)| **transition == NONE).map(|(state, _)| state)
+    });
+    Ok(Some(OwnPaths::new(goal, room, plan.config.mentor.learned.radius as f32, ends)))
 }
 
 /// All that learns π in `plan`'s run, with the initial weights of the plan's seed; none without learned bridges.
@@ -119,6 +144,25 @@ pub fn hindsight_of(plan: &RunPlan) -> Result<Option<Hindsight>, PlanError> {
     };
     let rng = stream(seed, Purpose::PolicyReplay, 0);
     Ok(Some(Hindsight::new(goal, layout, params, config, rng, kernels_of(plan)?)))
+}
+
+/// What imitates own paths in `plan`'s run, if anything does.
+///
+/// # Errors
+/// Settings that give no network.
+pub fn imitation_of(plan: &RunPlan) -> Result<Option<Imitation>, PlanError> {
+    let learned = &plan.config.mentor.learned;
+    if plan.own_room().paths == 0 || learned.imitate == 0.0 {
+        return Ok(None);
+    }
+    let (layout, _) = network_of(plan)?;
+    let config = ImitationConfig {
+        weight: learned.imitate as f32,
+        margin: learned.margin as f32,
+        batch: plan.config.learner.batch,
+    };
+    let rng = stream(plan.config.run.seed, Purpose::Imitation, 0);
+    Ok(Some(Imitation::new(layout, config, rng, kernels_of(plan)?)))
 }
 
 #[cfg(test)]

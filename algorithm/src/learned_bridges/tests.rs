@@ -4,12 +4,13 @@
 
 use super::goal::{Goal, draw, softmax};
 use super::hindsight::{Hindsight, HindsightConfig};
-use super::path::{MentorPath, distance};
+use super::path::{Path, Paths, Place, distance};
 use super::tracker::{Pace, Tracker};
 use crate::replay::Replay;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use trestle_proto::NONE;
+use trestle_proto::acting::OwnPlaces;
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::rng::Stream;
 use trestle_proto::waypoints::Waypoints;
@@ -137,7 +138,7 @@ proptest! {
         ahead in prop::sample::select(vec![0.0f32, 0.5, 1.0, 4.0]),
     ) {
         let waypoints = waypoints(&lengths, &places);
-        let path = MentorPath::new(&waypoints, 2, &goal(), radius);
+        let paths = Paths::new(Path::of_mentor(&waypoints, 2, &goal(), radius), 1, radius);
         let pace = Pace { window, lookahead: ahead, ..PACE };
         let mut tracker = Tracker::default();
         tracker.begin(&pace, 0.0);
@@ -151,7 +152,7 @@ proptest! {
         };
         for &x in &walk {
             let place = f32::from(x) / 2.0;
-            tracker.follow(&path, &pace, &[place], &mut Vec::new(), &mut Vec::new());
+            tracker.follow(&paths, &pace, &[place], &mut Vec::new(), &mut Vec::new());
             let near: Vec<usize> = (0..trajectory_of.len())
                 .filter(|&m| (place_of(m) - place) * (place_of(m) - place) <= radius * radius)
                 .collect();
@@ -164,13 +165,16 @@ proptest! {
                 (place_of(a) - place).abs().total_cmp(&(place_of(b) - place).abs())
             });
             naive = on.or(nearest).or(naive);
-            prop_assert_eq!(tracker.at(), naive);
+            prop_assert_eq!(tracker.at(), naive.map(|at| Place { own: false, number: at as u32 }));
             let aim = naive.map(|at| {
                 let same = (at..trajectory_of.len()).filter(|&m| trajectory_of[m] == trajectory_of[at]);
                 let last = same.clone().next_back().unwrap();
                 same.clone().find(|&m| length(m) >= length(at) + ahead).unwrap_or(last)
             });
-            prop_assert_eq!(tracker.goal(&path, &pace), aim);
+            let goal = aim.map(place_of);
+            prop_assert_eq!(tracker.next(&paths, &pace).map(|place| place[0]), goal);
+            let led = goal.filter(|_| tracker.furthest() < 1.0);
+            prop_assert_eq!(tracker.goal(&paths, &pace).map(|place| place[0]), led);
         }
     }
 
@@ -204,58 +208,89 @@ fn waypoints(lengths: &[usize], places: &[i8]) -> Waypoints {
     waypoints
 }
 
+/// The path over five states, a unit apart.
+fn five() -> Paths {
+    Paths::new(Path::of_mentor(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.4), 1, 0.4)
+}
+
+/// Lets `tracker` go through an episode over `places`, up to its end; returns where the guide aims at each of them.
+fn walk(tracker: &mut Tracker, paths: &Paths, pace: &Pace, places: &[f32]) -> Vec<Option<f32>> {
+    let (mut stack, mut hits) = (Vec::new(), Vec::new());
+    let mut goals = Vec::new();
+    for (at, place) in places.iter().enumerate() {
+        match at {
+            0 => tracker.observe(paths, pace, &[*place], &mut stack, &mut hits),
+            _ => tracker.follow(paths, pace, &[*place], &mut stack, &mut hits),
+        }
+        goals.push(tracker.goal(paths, pace).map(|place| place[0]));
+    }
+    goals
+}
+
 #[test]
 fn a_guide_that_gets_stuck_is_used_less() {
-    let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.5);
-    let pace = PACE;
+    let (paths, pace) = (five(), PACE);
     let mut tracker = Tracker::default();
     let mut episode = |places: &[f32], success: bool, u: f64| {
         tracker.begin(&pace, u);
-        for (at, place) in places.iter().enumerate() {
-            let (mut stack, mut hits) = (Vec::new(), Vec::new());
-            match at {
-                0 => tracker.observe(&path, &pace, &[*place], &mut stack, &mut hits),
-                _ => tracker.follow(&path, &pace, &[*place], &mut stack, &mut hits),
-            }
-        }
-        let seen = (tracker.guided(), tracker.furthest(), tracker.is_stuck(success));
-        tracker.finish(success);
+        walk(&mut tracker, &paths, &pace, places);
+        let seen = (tracker.guided(), tracker.furthest(), tracker.finish(success));
         (seen, tracker.stuck())
     };
-    // It stays at the second state of five.
-    assert_eq!(episode(&[0.0, 1.0, 1.0, 1.0, 0.0], false, 0.9), ((true, 0.25, true), 1));
+    assert_eq!(episode(&[0.0, 1.0, 1.0], false, 0.9), ((true, 0.25, false), 0));
+    // No further than before.
+    assert_eq!(episode(&[0.0, 1.0, 0.0], false, 0.9), ((true, 0.25, true), 1));
     assert_eq!(episode(&[0.0, 0.0, 0.0], false, 0.49), ((true, 0.0, true), 2));
     // Not guided: neither a failure nor a success counts.
     assert_eq!(episode(&[0.0, 0.0, 0.0], false, 0.34), ((false, 0.0, true), 2));
     assert_eq!(episode(&[0.0, 1.0, 2.0], true, 0.34), ((false, 0.5, false), 2));
-    // It gets ahead to the last, though slowly.
-    assert_eq!(episode(&[0.0, 0.0, 0.0, 1.0], false, 0.33), ((true, 0.25, false), 0));
-    assert_eq!(episode(&[-3.0, -3.0], false, 0.99), ((true, 0.0, true), 1));
-    // The path's end is reached, whatever comes after.
-    assert_eq!(episode(&[3.0, 4.0, 3.0, 3.0, 3.0], false, 0.0), ((true, 1.0, false), 0));
+    // What an episode that was not guided has reached is no news.
+    assert_eq!(episode(&[0.0, 1.0, 2.0], false, 0.33), ((true, 0.5, true), 3));
+    assert_eq!(episode(&[-3.0, -3.0], true, 0.0), ((true, 0.0, false), 0));
+    assert_eq!(episode(&[3.0, 4.0, 3.0], false, 0.99), ((true, 1.0, false), 0));
+    assert_eq!(episode(&[3.0, 4.0], false, 0.99), ((true, 1.0, true), 1));
+    // With other own paths all counts again.
+    tracker.renew();
+    assert_eq!((tracker.stuck(), tracker.chance(&pace)), (0, 1.0));
+    tracker.begin(&pace, 0.99);
+    walk(&mut tracker, &paths, &pace, &[0.0, 1.0]);
+    assert!(!tracker.finish(false));
 }
 
 #[test]
 fn a_guide_lets_go_for_a_while_where_it_does_not_get_on() {
-    let path = MentorPath::new(&waypoints(&[5], &[0, 2, 4, 6, 8]), 2, &goal(), 0.4);
-    let pace = Pace { idle: 3, roam: 2, ..PACE };
+    let (paths, pace) = (five(), Pace { idle: 3, roam: 2, ..PACE });
     let mut tracker = Tracker::default();
     tracker.begin(&pace, 0.0);
-    let (mut stack, mut hits) = (Vec::new(), Vec::new());
-    tracker.observe(&path, &pace, &[0.0], &mut stack, &mut hits);
-    let mut goals = vec![tracker.goal(&path, &pace)];
-    for place in [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0] {
-        tracker.follow(&path, &pace, &[place], &mut stack, &mut hits);
-        goals.push(tracker.goal(&path, &pace));
-    }
-    let (led, free) = (Some(2), None);
+    let places = [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0];
+    let goals = walk(&mut tracker, &paths, &pace, &places);
+    let (led, free) = (Some(2.0), None);
     // Three steps after it came to the second state it lets go for two, and so on, whether or not it gets on meanwhile.
-    assert_eq!(goals[..10], [Some(1), led, led, led, free, free, led, led, led, free]);
+    assert_eq!(goals[..10], [Some(1.0), led, led, led, free, free, led, led, led, free]);
     assert_eq!(goals[10..], [free, led, led, led]);
     let never = Pace { idle: 0, ..pace };
     tracker.begin(&never, 0.0);
-    (0..99).for_each(|_| tracker.follow(&path, &never, &[1.0], &mut stack, &mut hits));
-    assert_eq!(tracker.goal(&path, &never), led);
+    assert_eq!(walk(&mut tracker, &paths, &never, &[1.0; 99])[98], led);
+    // There is nothing to lead to at the end.
+    tracker.begin(&never, 0.0);
+    assert_eq!(walk(&mut tracker, &paths, &never, &[3.0, 4.0, 3.0]), [Some(4.0), free, free]);
+}
+
+#[test]
+fn own_paths_go_before_the_mentors() {
+    let (mut paths, pace) = (five(), PACE);
+    let own = OwnPlaces { lengths: vec![3, 2], places: vec![1.0, 0.5, 0.0, 3.0, 3.25] };
+    paths.set_own(&own);
+    let mut tracker = Tracker::default();
+    tracker.begin(&pace, 0.0);
+    // Along the mentor's path, then backwards along the first own one, and on the second.
+    let goals = walk(&mut tracker, &paths, &pace, &[2.0, 1.1, 0.6, 2.9]);
+    assert_eq!(goals, [Some(3.0), Some(0.0), Some(0.0), Some(3.25)]);
+    assert_eq!(tracker.at(), Some(Place { own: true, number: 3 }));
+    assert!(tracker.fits(5, 5) && !tracker.fits(5, 3));
+    paths.set_own(&OwnPlaces::default());
+    tracker.renew();
+    assert_eq!((tracker.at(), tracker.fits(5, 0)), (None, true));
 }
 
 /// The policy finds out which way an action leads, and a restored one goes on alike.
@@ -270,7 +305,7 @@ fn it_learns_to_go_where_it_is_told() {
     let mut ws = Workspace::new(&layout, 1);
     for (from, to, likeliest) in [(-3.0, -1.0, 2), (-3.0, -5.0, 0), (4.0, 6.0, 2), (4.0, 2.0, 0)] {
         let (mut x, mut out) = ([0.0; 3], [0.0; 3]);
-        goal().encode(&[from, 0.0], &[to, 9.0], &mut x);
+        goal().encode(&[from, 0.0], &[to / 2.0], &mut x);
         forward(&layout, hindsight.params(), &x, 1, &mut ws, &mut out);
         softmax(&mut out);
         assert!(out[likeliest] > 0.5, "{from} {to}: {out:?}");

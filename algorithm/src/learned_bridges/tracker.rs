@@ -5,15 +5,15 @@
 //! of it. Where there is none it is found anew, as the nearest state within the radius, and where there is none either,
 //! the last place stays: the guide leads back to the path.
 //!
-//! *Gate.* A guided episode got stuck if it neither succeeded nor came to the path's end, and its progress ended in the
-//! first half of its steps. After k such episodes in a row an episode is guided with probability 1 / (1 + k): where the
-//! guide cannot get on, the observer is soon left to itself, and where it can, nothing changes.
+//! *Gate.* The record is the furthest share of a path over all of an actor's episodes, since its own paths changed last. A guided
+//! episode got stuck if it neither succeeded nor came further than the record. After k such episodes in a row an episode is guided with
+//! probability 1 / (1 + k): where the guide cannot get on, the observer is soon left to itself.
 //!
 //! *Roaming.* Where a guided episode has not come further for `idle` steps, the guide lets go for `roam` steps, in which the
 //! observer explores freely, and then leads again: the mentor may have gone on where the observer cannot, and the way round begins
-//! elsewhere.
+//! elsewhere. At the end of a path there is nothing to lead to, and it lets go for good.
 
-use super::path::MentorPath;
+use super::path::{Paths, Place};
 use crate::similarity::Hit;
 use serde::{Deserialize, Serialize};
 use trestle_proto::config::Learned;
@@ -49,10 +49,14 @@ impl Pace {
 /// One actor's progress. All of it belongs to a snapshot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tracker {
-    /// The mentor state that this episode is at; none before the path has been found.
-    at: Option<u32>,
-    /// The furthest share of the path in this episode, and after how many of its steps it was reached.
-    furthest: Option<(f32, u64)>,
+    /// Where this episode is; none before a path has been found.
+    at: Option<Place>,
+    /// The furthest share of a path in this episode; none before one has been found.
+    furthest: Option<f32>,
+    /// The furthest share over all episodes, since own paths changed last.
+    record: f32,
+    /// Whether this episode has extended it.
+    news: bool,
     /// Steps of this episode.
     steps: u64,
     /// Whether this episode is guided.
@@ -74,7 +78,7 @@ impl Tracker {
     /// Begins an episode; `u`, in [0, 1), decides whether it is guided.
     pub fn begin(&mut self, pace: &Pace, u: f64) {
         self.guided = u < self.chance(pace);
-        (self.at, self.furthest) = (None, None);
+        (self.at, self.furthest, self.news) = (None, None, false);
         (self.steps, self.led_from, self.roaming) = (0, 0, 0);
     }
 
@@ -89,21 +93,26 @@ impl Tracker {
 
     /// Whether an episode that ends now got stuck.
     pub fn is_stuck(&self, success: bool) -> bool {
-        let (share, step) = self.furthest.unwrap_or((0.0, 0));
-        !success && share < 1.0 && 2 * step <= self.steps
+        !success && !self.news
+    }
+
+    /// Own paths have changed: what was found out about the former ones does not count any more.
+    pub fn renew(&mut self) {
+        self.at = self.at.filter(|at| !at.own);
+        (self.furthest, self.record, self.stuck) = (None, 0.0, 0);
     }
 
     /// Takes in the place that a step has led to, as [`Tracker::observe`] does.
     pub fn follow(
         &mut self,
-        path: &MentorPath,
+        paths: &Paths,
         pace: &Pace,
         place: &[f32],
         stack: &mut Vec<u32>,
         hits: &mut Vec<Hit>,
     ) {
         self.steps += 1;
-        self.observe(path, pace, place, stack, hits);
+        self.observe(paths, pace, place, stack, hits);
         if self.roaming > 0 {
             self.roaming -= 1;
             if self.roaming == 0 {
@@ -117,44 +126,58 @@ impl Tracker {
     /// Takes in the place of an episode's first state. `stack` and `hits` are working memory.
     pub fn observe(
         &mut self,
-        path: &MentorPath,
+        paths: &Paths,
         pace: &Pace,
         place: &[f32],
         stack: &mut Vec<u32>,
         hits: &mut Vec<Hit>,
     ) {
-        path.near(place, stack, hits);
-        let near_last = |m: usize, at: usize| {
-            path.end(m) == path.end(at) && (path.length(m) - path.length(at)).abs() <= pace.window
-        };
-        let on = self.at.and_then(|at| {
-            hits.iter().map(|hit| hit.state).rfind(|&state| near_last(state as usize, at as usize))
+        let own = paths.near(place, stack, hits);
+        let on = self.at.filter(|at| at.own == own).and_then(|at| {
+            let (path, at) = (paths.of(at), at.number as usize);
+            let near = |m: usize| {
+                path.end(m) == path.end(at) && (path.length(m) - path.length(at)).abs() <= pace.window
+            };
+            hits.iter().map(|hit| hit.state).rfind(|&state| near(state as usize))
         });
         let nearest = || hits.iter().min_by(|a, b| a.kl.total_cmp(&b.kl)).map(|hit| hit.state);
-        let Some(at) = on.or_else(nearest) else { return };
+        let Some(number) = on.or_else(nearest) else { return };
+        let at = Place { own, number };
         self.at = Some(at);
-        let share = path.share(at as usize);
-        if self.furthest.is_none_or(|(furthest, _)| share > furthest) {
-            self.furthest = Some((share, self.steps));
+        let share = paths.of(at).share(number as usize);
+        if self.furthest.is_none_or(|furthest| share > furthest) {
+            self.furthest = Some(share);
             self.led_from = self.steps;
+        }
+        if share > self.record {
+            (self.record, self.news) = (share, true);
         }
     }
 
-    /// The mentor state that the guide aims at; none where the episode is not guided, the guide lets go, or the path has not
-    /// been found.
-    pub fn goal(&self, path: &MentorPath, pace: &Pace) -> Option<usize> {
-        let at = self.at.filter(|_| self.guided && self.roaming == 0)?;
-        Some(path.ahead(at as usize, pace.lookahead))
+    /// The place that the guide aims at; none where the episode is not guided, the guide lets go, or no path has been found.
+    pub fn goal<'a>(&self, paths: &'a Paths, pace: &Pace) -> Option<&'a [f32]> {
+        let leads = self.guided && self.roaming == 0 && self.furthest() < 1.0;
+        self.at.filter(|_| leads).map(|at| self.aim(paths, pace, at))
     }
 
-    /// The mentor state that this episode is at; none before the path has been found.
-    pub fn at(&self) -> Option<usize> {
-        self.at.map(|at| at as usize)
+    /// The same in an episode that is guided throughout.
+    pub fn next<'a>(&self, paths: &'a Paths, pace: &Pace) -> Option<&'a [f32]> {
+        self.at.map(|at| self.aim(paths, pace, at))
     }
 
-    /// The furthest share of the path in this episode, 0 to 1; 0 before the path has been found.
+    fn aim<'a>(&self, paths: &'a Paths, pace: &Pace, at: Place) -> &'a [f32] {
+        let path = paths.of(at);
+        path.place(path.ahead(at.number as usize, pace.lookahead))
+    }
+
+    /// Where this episode is; none before a path has been found.
+    pub fn at(&self) -> Option<Place> {
+        self.at
+    }
+
+    /// The furthest share of a path in this episode, 0 to 1; 0 before one has been found.
     pub fn furthest(&self) -> f32 {
-        self.furthest.map_or(0.0, |(share, _)| share)
+        self.furthest.unwrap_or(0.0)
     }
 
     /// Guided episodes in a row that got stuck.
@@ -167,8 +190,9 @@ impl Tracker {
         self.guided
     }
 
-    /// Whether the tracker can be one of `path`.
-    pub fn fits(&self, path: &MentorPath) -> bool {
-        self.at.is_none_or(|at| (at as usize) < path.len()) && self.led_from <= self.steps
+    /// Whether the tracker can be one of paths with so many places of the mentor's and of the observer's own.
+    pub fn fits(&self, mentor: usize, own: usize) -> bool {
+        let there = |at: Place| (at.number as usize) < if at.own { own } else { mentor };
+        self.at.is_none_or(there) && self.led_from <= self.steps
     }
 }

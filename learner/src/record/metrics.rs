@@ -127,8 +127,12 @@ pub struct GuideGauges {
     pub guided_episodes: u64,
     /// Those of them that got stuck.
     pub stuck_episodes: u64,
+    /// Own paths that are kept.
+    pub own_paths: u64,
     /// Mean loss of their policy since the last interval, nats.
     pub loss: f64,
+    /// Mean loss of the imitation of own paths since the last interval.
+    pub imitation_loss: f64,
     /// Return of the newest evaluation's episode that followed their policy alone.
     pub total_reward: f64,
 }
@@ -255,7 +259,9 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
         row.real("guide/progress_mean", guide.progress_mean);
         row.count("guide/guided_episodes", guide.guided_episodes);
         row.count("guide/stuck_episodes", guide.stuck_episodes);
+        row.count("guide/own_paths", guide.own_paths);
         row.real("guide/loss", guide.loss);
+        row.real("loss/imitation", guide.imitation_loss);
         row.real("guide/return", guide.total_reward);
     }
     row.count("replay/size", gauges.replay_size);

@@ -3,7 +3,7 @@
 
 use super::moment::Moment;
 use trestle_algorithm::agent::Agent;
-use trestle_algorithm::learned_bridges::{Goal, MentorPath, path_of, policy_of, softmax};
+use trestle_algorithm::learned_bridges::{Goal, Path, path_of, policy_of, softmax};
 use trestle_algorithm::similarity::Hit;
 use trestle_proto::NONE;
 use trestle_proto::plan::RunPlan;
@@ -16,7 +16,7 @@ const NEWEST: u64 = 25_000;
 #[derive(Debug)]
 pub(super) struct Way {
     goal: Goal,
-    path: MentorPath,
+    path: Path,
     layout: Layout,
     /// The mentor states that a moment tells of: each begins a step.
     shown: Vec<usize>,
@@ -39,8 +39,9 @@ impl Way {
         let shown: Vec<usize> = steps(plan).step_by(stride).collect();
         let mut inputs = vec![0.0; shown.len() * layout.input()];
         let lookahead = plan.config.mentor.learned.lookahead as f32;
+        let (states, dim) = (&plan.waypoints.as_ref()?.states, plan.spec.obs_dim());
         for (input, &m) in inputs.chunks_exact_mut(layout.input()).zip(&shown) {
-            goal.encode(path.state(m), path.state(path.ahead(m, lookahead)), input);
+            goal.encode(&states[m * dim..][..dim], path.place(path.ahead(m, lookahead)), input);
         }
         let visited = vec![0; path.len()];
         let (place, stack, hits) = (Vec::new(), Vec::new(), Vec::new());

@@ -7,7 +7,7 @@ use crate::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorL
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
-use trestle_proto::acting::{Acting, ActingHeader};
+use trestle_proto::acting::{Acting, ActingHeader, Room};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TRANSITIONS_BUFFER};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
@@ -39,6 +39,7 @@ enum Request {
 pub struct LocalActor {
     run: u64,
     sizes: Vec<u32>,
+    room: Room,
     published: Published,
     /// What was received last.
     copy: Acting,
@@ -80,6 +81,7 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         .map(|_| LocalActor {
             run: plan.run,
             sizes: sizes.clone(),
+            room: plan.own_room(),
             published: published.clone(),
             copy: Acting::zeros(plan.acting()),
             orders: orders.clone(),
@@ -121,7 +123,7 @@ impl LocalActor {
     fn update(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
         let newest = self.published.lock().unwrap_or_else(PoisonError::into_inner);
         let Some((header, payload)) = newest.as_ref() else { return Ok(None) };
-        header.receive(self.run, &self.sizes, payload, &mut self.copy)?;
+        header.receive(self.run, &self.sizes, payload, &self.room, &mut self.copy)?;
         Ok(Some((header.generation, header.version)))
     }
 }
@@ -185,7 +187,7 @@ impl LearnerLink for LocalLearner {
 
     fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
         let header = ActingHeader::new(self.run, self.generation, version, &self.sizes, acting);
-        let mut payload = vec![0; acting.lengths().words()];
+        let mut payload = vec![0; acting.words()];
         acting.write(&mut payload);
         *self.published.lock().unwrap_or_else(PoisonError::into_inner) = Some((header, payload));
         Ok(())

@@ -30,6 +30,7 @@ impl Config {
     pub fn arm(&self) -> String {
         let (mentor, with) = (&self.mentor, self.run.algo.has_mentor());
         let learned = self.guide() == Some(GuideKind::Learned);
+        let imitates = learned && self.mentor.learned.imitate > 0.0;
         let suffixes = [
             (with && mentor.selection == SelectionKind::Always, "+always"),
             (with && mentor.combine == CombineKind::Beside, "+beside"),
@@ -37,6 +38,7 @@ impl Config {
             (with && mentor.one_sided, "+one-sided"),
             (self.guide() == Some(GuideKind::Known), "+guided"),
             (learned && self.run.algo != Algo::Trestle, "+learned-bridges"),
+            (imitates && self.run.algo != Algo::Trestle, "+imitation"),
             (self.shaped(), "+shaped"),
         ];
         let on = suffixes.iter().filter(|(on, _)| *on).map(|(_, suffix)| *suffix);
@@ -69,6 +71,8 @@ mod tests {
         let learned = ["exploration.guide=learned", "exploration.guide_start=0.5"];
         assert_eq!(arm(&[&["run.algo=dqn"], &learned[..]].concat()), "dqn+learned-bridges");
         assert_eq!(arm(&["run.algo=dqn", learned[0]]), "dqn");
+        let imitating = ["run.algo=ha-diiqn", "mentor.learned.imitate=1", learned[0], learned[1]];
+        assert_eq!(arm(&imitating), "ha-diiqn+learned-bridges+imitation");
         assert_eq!(arm(&["run.algo=trestle"]), "trestle");
     }
 }

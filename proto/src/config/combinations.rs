@@ -83,7 +83,11 @@ impl Config {
         require(learned, "exploration.guide", e.guide, "learned with run.algo = trestle")?;
         let some = algo != Algo::Trestle || self.guide().is_some();
         let accepted = "above 0 with run.algo = trestle, or exploration.guide_end above 0";
-        require(some, "exploration.guide_start", e.guide_start, accepted)
+        require(some, "exploration.guide_start", e.guide_start, accepted)?;
+        let learned = &mentor.learned;
+        let paths = learned.imitate == 0.0 || learned.own_paths > 0;
+        let accepted = "1 or more with mentor.learned.imitate above 0";
+        require(paths, "mentor.learned.own_paths", learned.own_paths, accepted)
     }
 }
 

@@ -19,6 +19,9 @@ guide_start = 0.9
 guide_end = 0.0
 # The guide goes with ε.
 guide_decay_steps = 0
+
+[mentor.learned]
+imitate = 1.0
 "#;
 
 #[cfg(test)]

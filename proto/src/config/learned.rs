@@ -2,7 +2,7 @@
 
 use super::accepts::{above, any, at_least, between, list};
 use super::learner::MAX_HIDDEN;
-use crate::limits::{MAX_HORIZON, MAX_WIDTH};
+use crate::limits::{MAX_HORIZON, MAX_OWN_PATHS, MAX_WIDTH};
 use crate::settings;
 
 settings! {
@@ -18,7 +18,8 @@ settings! {
         lr: f64 = 1e-3, above(0.0);
         /// Most steps between a state and the later state that is taken for its goal.
         horizon: usize = 6, between(1, MAX_HORIZON);
-        /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: all that are no velocities.
+        /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: all that are
+        /// neither velocities nor categories.
         features: Vec<usize> = Vec::new(), any("features of the environment, each once, in ascending order");
         /// How near to a mentor state the observer counts as being there. 0: one and a half strides. A stride is the
         /// mentor's median step, or one unit if that is longer.
@@ -33,5 +34,12 @@ settings! {
         idle: u64 = 40;
         /// Steps for which it lets go then.
         roam: u64 = 50;
+        /// Paths of the observer's own that are kept at most: how it once came to success, without the loops. The guide leads along
+        /// them rather than along the mentor's. 0: none.
+        own_paths: usize = 16, between(0, MAX_OWN_PATHS);
+        /// Weight λ of the loss with which each gradient step imitates `learner.batch` steps of own paths. 0: none does.
+        imitate: f64 = 0.0, at_least(0.0);
+        /// By how much the value of an own path's action is to exceed those of all others.
+        margin: f64 = 0.1, at_least(0.0);
     }
 }

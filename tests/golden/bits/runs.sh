@@ -108,6 +108,7 @@ all() {
     run trestle-reference "${many[@]}" --mode reference
     run learned-guide "${small[@]}" --algo ha-diiqn --seed 16 --set exploration.guide=learned \
         --set exploration.guide_end=0.9 --set mentor.learned.idle=7 --set mentor.learned.gate=false
+    run own-paths-off "${small[@]}" "${trestle[@]}" --seed 17 --set mentor.learned.own_paths=0 --set mentor.learned.imitate=0
     run point-trestle "${point[@]}" "${trestle[@]}" --seed 6 --actors 2 --set learner.n_step=5
 }
 

@@ -100,8 +100,8 @@ impl IceoryxActor {
             if self.newest.is_some_and(|(generation, _)| generation > header.generation) {
                 continue;
             }
-            let (run, network) = (self.services.run, &self.services.sizes.network);
-            header.receive(run, network, sample.payload(), &mut self.copy)?;
+            let (run, sizes) = (self.services.run, &self.services.sizes);
+            header.receive(run, &sizes.network, sample.payload(), &sizes.own, &mut self.copy)?;
             self.newest = Some((header.generation, header.version));
         }
         Ok(())

@@ -46,7 +46,7 @@ impl IceoryxLearner {
         let weights = services
             .weights
             .publisher_builder()
-            .initial_max_slice_len(sizes.acting.words())
+            .initial_max_slice_len(sizes.acting_words())
             .max_loaned_samples(1)
             .create()
             .map_err(failed("creating the publisher of weights"))?;
@@ -297,7 +297,7 @@ impl LearnerLink for IceoryxLearner {
     }
 
     fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
-        let words = acting.lengths().words();
+        let words = acting.words();
         let mut sample = self.weights.loan_slice(words).map_err(failed("loaning memory for weights"))?;
         acting.write(sample.payload_mut());
         let sizes = &self.services.sizes;

@@ -5,7 +5,7 @@ use super::{Domain, Ipc, Wire, failed, wake};
 use crate::LinkError;
 use iceoryx2::prelude::{EventId, Node};
 use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
-use trestle_proto::acting::{ActingHeader, Lengths};
+use trestle_proto::acting::{ActingHeader, Lengths, Room};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, BatchHeader};
 use trestle_proto::config::Mode;
@@ -42,6 +42,8 @@ pub struct Sizes {
     pub batch_words: usize,
     /// Entries of what actors act with.
     pub acting: Lengths,
+    /// Own paths that they may get beside.
+    pub own: Room,
     /// Transitions of the demonstration; 0 without a mentor.
     pub mentor_len: usize,
     /// Batches of an actor that may be on their way.
@@ -61,10 +63,16 @@ impl Sizes {
             network: network.into_iter().map(|n| n as u32).collect(),
             batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
             acting: plan.acting(),
+            own: plan.own_room(),
             mentor_len: plan.mentor_len(),
             window: plan.window() as usize,
             replaces: plan.config.run.mode == Mode::Free,
         }
+    }
+
+    /// Words of what actors act with, at most.
+    pub fn acting_words(&self) -> usize {
+        self.acting.words() + self.own.words()
     }
 
     /// Batches of an actor that may wait for the learner.
@@ -105,13 +113,13 @@ impl Sizes {
             0 => 0,
             _ => self.observe_request_words().max(self.observe_answer_words()).max(self.query_answer_words()),
         };
-        batches.max(16 * self.acting.words()).max(16 * mentor) as u64
+        batches.max(16 * self.acting_words()).max(16 * mentor) as u64
     }
 
     /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
     pub fn shared_memory_bytes(&self) -> u64 {
         let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;
-        let weights = 4 * self.acting.words() * 4;
+        let weights = 4 * self.acting_words() * 4;
         let mentor = if self.mentor_len == 0 {
             0
         } else {
