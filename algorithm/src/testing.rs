@@ -5,7 +5,7 @@
 use rand::{Rng, RngCore, SeedableRng};
 use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
-use trestle_proto::batch::{Batch, BatchHeader, FIRST, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::config::{Config, Table, from_table};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
@@ -119,7 +119,7 @@ impl World {
             let obs = place.unwrap_or_else(|| self.state());
             let next_obs = self.state();
             let ends = match self.rng.random_range(0..10) {
-                0 => TERMINATED,
+                0 => TERMINATED | SUCCEEDED,
                 1 => TRUNCATED,
                 _ => 0,
             };

@@ -86,6 +86,7 @@ proptest! {
             format!("learner.target={target}"),
             "learner.target_every=7".into(),
             "mentor.learned.features=[0]".into(),
+            "mentor.learned.radius=1".into(),
             "run.actors=2".into(),
         ];
         let plan = plan(&sets.each_ref().map(String::as_str));

@@ -216,3 +216,26 @@ fn visits_and_uses_are_counted() {
         assert!(rows.iter().enumerate().all(|(j, row)| row.first == (j == 0)));
     }
 }
+
+#[test]
+fn own_paths_are_published_and_imitated() {
+    let learned = ["mentor.learned.features=[0]", "mentor.learned.radius=1"];
+    let sets = |algo, more| [&[algo], &learned[..], more].concat();
+    let (mut agent, mut world) = agent(&sets("run.algo=trestle", &[]), 3);
+    let mut stats = TrainStats::default();
+    for _ in 0..20 {
+        let (batch, _) = world.batch(0, 8);
+        agent.ingest(&batch, None).unwrap();
+        stats.merge(&agent.train(|| ()).unwrap());
+    }
+    assert!(agent.own_paths() > 0 && agent.own_paths() == agent.acting().own.lengths.len());
+    let places: u32 = agent.acting().own.lengths.iter().sum();
+    assert_eq!(agent.acting().own.places.len(), places as usize);
+    assert!((1..=stats.grad_steps).contains(&stats.imitation_steps) && stats.imitation_loss_mean() > 0.0);
+    assert_eq!(stats.policy_steps, stats.grad_steps);
+    // Without imitation the same paths are kept, and the weights are others.
+    let (mut other, mut world) = super::agent(&sets("run.algo=trestle", &["mentor.learned.imitate=0"]), 3);
+    live(&mut other, &mut world, 20);
+    assert_eq!(other.acting().own, agent.acting().own);
+    assert_ne!(other.weights(), agent.weights());
+}
