@@ -18,7 +18,7 @@ use trestle_proto::rng::Stream;
 /// What guides exploring steps.
 pub enum Guide {
     /// Known actions.
-    Known(Known),
+    Known(Box<Known>),
     /// Learned bridges.
     Learned(Box<Learned>),
 }
@@ -29,7 +29,7 @@ impl Guide {
     /// # Errors
     /// Settings that give no state distance or no network.
     pub fn new(plan: &RunPlan) -> Result<Option<Self>, ActorError> {
-        let known = Known::new(plan)?.map(Self::Known);
+        let known = Known::new(plan)?.map(|guide| Self::Known(Box::new(guide)));
         let learned = || Ok::<_, ActorError>(Learned::new(plan)?.map(|guide| Self::Learned(Box::new(guide))));
         known.map_or_else(learned, |known| Ok(Some(known)))
     }
