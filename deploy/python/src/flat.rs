@@ -13,6 +13,8 @@ pub(crate) enum Space {
     Box { shape: Vec<usize>, len: usize },
     /// A whole number from `start` on.
     Discrete { n: i64, start: i64 },
+    /// What has no features.
+    Nothing,
     /// Several spaces in a row.
     Tuple(Vec<Space>),
     /// Several spaces by name.
@@ -32,6 +34,7 @@ impl Space {
                 Ok(Self::Box { len: shape.iter().product(), shape })
             }
             "discrete" => Ok(Self::Discrete { n: whole("n")?, start: whole("start")? }),
+            "none" => Ok(Self::Nothing),
             "tuple" => Ok(Self::Tuple(list("spaces")?.iter().map(Self::parse).collect::<Result<_, _>>()?)),
             "dict" => {
                 let names = list("keys")?.iter().map(|key| key.as_str().unwrap_or_default().to_string());
@@ -47,6 +50,7 @@ impl Space {
         match self {
             Self::Box { len, .. } => *len,
             Self::Discrete { .. } => 1,
+            Self::Nothing => 0,
             Self::Tuple(spaces) => spaces.iter().map(Self::len).sum(),
             Self::Dict(spaces) => spaces.iter().map(|(_, space)| space.len()).sum(),
         }
@@ -70,6 +74,7 @@ impl Space {
                 out[0] = (value - start) as f32;
                 Ok(())
             }
+            Self::Nothing => Ok(()),
             Self::Tuple(spaces) => {
                 let parts = obs
                     .cast::<PyTuple>()

@@ -58,6 +58,7 @@ class Spaces(Line):
             "tuple": spaces.Tuple((spaces.Discrete(3), spaces.Box(-1, 1, (2,), np.float32))),
             "dict": spaces.Dict({"b": spaces.Discrete(3), "a": spaces.Box(-1, 1, (2,), np.float32)}),
             "text": spaces.Text(5),
+            "talk": spaces.Dict({"said": spaces.Text(5), "at": spaces.Box(-1, 1, (2,), np.float32)}),
             "huge": spaces.Box(-1, 1, (100, 100), np.float32),
         }[observation]
         self.action_space = {

@@ -38,6 +38,13 @@ def test_observations_of_every_space_are_accepted(trestle: Trestle, observation:
     assert f"{features} features, actions 2 3 4" in said
 
 
+def test_parts_that_nobody_observes_may_be_anything(trestle: Trestle) -> None:
+    own = {"make": "envs:Spaces", "kwargs": "{observation='talk'}"}
+    assert "accepted: Box, Discrete" in check(trestle, ok=False, **own)
+    assert "2 features" in check(trestle, features="['at']", **own)
+    assert "env.gym.features = said; accepted" in check(trestle, ok=False, features="['said']", **own)
+
+
 @pytest.mark.parametrize(
     ("action", "own", "names"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import signal
@@ -14,7 +15,16 @@ import pytest
 
 from conftest import Trestle, sets
 
-IDS = ["CartPole-v1", "MountainCar-v0", "Acrobot-v1", "FrozenLake-v1", "Taxi-v4"]
+#: Environments, what they need, and their settings.
+ENVIRONMENTS: list[tuple[str, str, dict[str, str]]] = [
+    ("gym:CartPole-v1", "gymnasium", {}),
+    ("gym:MountainCar-v0", "gymnasium", {}),
+    ("gym:Acrobot-v1", "gymnasium", {}),
+    ("gym:FrozenLake-v1", "gymnasium", {}),
+    ("gym:Taxi-v4", "gymnasium", {}),
+    ("gym:minigrid:MiniGrid-Dynamic-Obstacles-5x5-v0", "minigrid", {"env.gym.features": "['direction', 'image']"}),
+    ("gym", "minatar", {"env.gym.make": "minatar.gym:BaseEnv", "env.gym.kwargs": "{game='breakout'}"}),
+]
 
 
 def sha(run: Path) -> str:
@@ -22,16 +32,16 @@ def sha(run: Path) -> str:
     return str(json.loads((run / "result.json").read_text())["weights_sha256"])
 
 
-@pytest.mark.parametrize("id", IDS)
-def test_runs_repeat_and_go_on_exactly(trestle: Trestle, tmp_path: Path, id: str) -> None:
-    if id in ("FrozenLake-v1", "Taxi-v4"):
-        pytest.importorskip("gymnasium.envs.toy_text")
-    settings = sets({"env.step_limit": 120, "checkpoint.every_env_steps": 500, "eval.every": 5})
+@pytest.mark.parametrize(("config", "package", "own"), ENVIRONMENTS)
+def test_runs_repeat_and_go_on_exactly(trestle: Trestle, tmp_path: Path, config: str, package: str, own: dict[str, str]) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+    settings = sets({"env.step_limit": 120, "checkpoint.every_env_steps": 500, "eval.every": 5} | own)
     three = ["--algo", "dqn", "--actors", "3", *settings]
-    trestle("train", f"gym:{id}", "--env-steps", 2496, "--out", "whole", *three)
-    trestle("train", f"gym:{id}", "--env-steps", 960, "--out", "parts", *three)
+    trestle("train", config, "--env-steps", 2496, "--out", "whole", *three)
+    trestle("train", config, "--env-steps", 960, "--out", "parts", *three)
     trestle("resume", "parts", "--env-steps", 2496)
-    trestle("train", f"gym:{id}", "--env-steps", 2496, "--out", "one", "--mode", "reference", *three)
+    trestle("train", config, "--env-steps", 2496, "--out", "one", "--mode", "reference", *three)
     assert sha(tmp_path / "whole") == sha(tmp_path / "parts") == sha(tmp_path / "one")
 
 

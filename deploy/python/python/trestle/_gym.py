@@ -86,7 +86,9 @@ def _shown(space: spaces.Space[Any]) -> str:
 class _Parts:
     """The features of a space of observations, in their order."""
 
-    def __init__(self, space: spaces.Space[Any]) -> None:
+    def __init__(self, space: spaces.Space[Any], *, picked: bool) -> None:
+        """``picked``: only some of the features count, so parts without any are passed over."""
+        self._picked = picked
         self.names: list[str] = []
         self.bounds: list[tuple[float, float]] = []
         self.categories: list[int] = []
@@ -157,8 +159,11 @@ class _Parts:
                     "keys": [key for key, _ in parts],
                     "spaces": [self._add(part, below(key)) for key, part in parts],
                 }
+        if name and self._picked:
+            return {"kind": "none"}
         raise Refused(
-            f"an observation of {_shown(space)}; accepted: Box, Discrete, MultiBinary, MultiDiscrete, and Tuple and Dict of them"
+            f"an observation of {_shown(space)}; accepted: Box, Discrete, MultiBinary, MultiDiscrete, and Tuple and Dict of them, "
+            "and other parts of a Tuple or Dict where env.gym.features picks none of them"
         )
 
 
@@ -187,7 +192,7 @@ def flattening(
     space: spaces.Space[Any], features: list[int | str] | None
 ) -> tuple[list[str], list[int], Callable[[Any], list[float]]]:
     """Names of all features of ``space``, the places of those that are picked, and what makes features of an observation."""
-    parts = _Parts(space)
+    parts = _Parts(space, picked=bool(features))
     places = _picked(features or [], parts.names, "features", parts=True)
     return parts.names, places, _trestle.Flattener(json.dumps(parts.layout))
 
@@ -284,7 +289,7 @@ def make_found(settings_json: str, found_json: str) -> tuple[gymnasium.Env[Any, 
     """The environment of a run that has found it before, and what it gets for each action."""
     settings, found = json.loads(settings_json), json.loads(found_json)
     env = make(settings)
-    layout = _Parts(env.observation_space).layout
+    layout = _Parts(env.observation_space, picked=bool(settings["features"])).layout
     if layout != found["space"]:
         raise Refused(f"the observation space is {_shown(env.observation_space)}, but the run has found another one before")
     return env, _values(found["actions"])
@@ -335,7 +340,7 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
     """Everything about the environment that a run has to know before it starts."""
     name = name_of(settings)
     env = make(settings)
-    parts = _Parts(env.observation_space)
+    parts = _Parts(env.observation_space, picked=bool(settings["features"]))
     actions = _actions(env, settings)
     values = _values(actions)
     flatten = _trestle.Flattener(json.dumps(parts.layout))
