@@ -112,7 +112,8 @@ pub(crate) fn again() -> Command {
 /// # Errors
 /// It cannot be started.
 pub(crate) fn hand_over(env: &config::Env) -> Result<()> {
-    let Some(words) = registry().foreign(env).and_then(|foreign| foreign.program) else { return Ok(()) };
+    let foreign = registry().foreign(env).filter(|foreign| !foreign.here);
+    let Some(words) = foreign.and_then(|foreign| foreign.program) else { return Ok(()) };
     let error = command(&words).args(args().iter().skip(1)).exec();
     Err(error).with_context(|| format!("cannot start {}", words.join(" ")))
 }

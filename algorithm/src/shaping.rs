@@ -37,8 +37,7 @@ impl Shaping {
     pub fn new(plan: &RunPlan) -> Result<Option<Self>, MetricError> {
         let (config, mentor) = (&plan.config, &plan.config.mentor);
         let Some(waypoints) = plan.waypoints.as_ref().filter(|_| config.shaped()) else { return Ok(None) };
-        let scale = &plan.spec.scale;
-        let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, scale, &waypoints.states)?;
+        let metric = Metric::of(mentor, &plan.spec.scale, &waypoints.states)?;
         Ok(Some(Self {
             potential: config.shaping.potential as f32,
             gamma: config.learner.gamma as f32,

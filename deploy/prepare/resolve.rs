@@ -184,7 +184,7 @@ fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     let mut all = first.clone();
     rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
     let mentor = &config.mentor;
-    let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, &env.spec().scale, all.states())?;
+    let metric = Metric::of(mentor, &env.spec().scale, all.states())?;
     let velocities = if mentor.metric == MetricKind::Delta { &env.spec().velocities[..] } else { &[] };
     let summary = summarise(&all, &metric, mentor.n as usize, velocities);
     Ok(Mentors { each, all, summary, metric, warnings })

@@ -124,7 +124,9 @@ pub trait Kind: Environment + Sized + 'static {
 /// whatever it has started ends with it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Foreign {
-    /// The command of the Trestle that can step the environment, where this program cannot; a subcommand is added.
+    /// Whether this process can step the environment itself.
+    pub here: bool,
+    /// The command of the Trestle that is to step the environment, where that is not this program; a subcommand is added.
     pub program: Option<Vec<String>>,
     /// Variables of its environment.
     pub variables: Vec<(&'static str, &'static str)>,

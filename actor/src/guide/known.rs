@@ -32,8 +32,7 @@ impl Known {
         if plan.config.guide() != Some(GuideKind::Known) {
             return Ok(None);
         }
-        let scale = &plan.spec.scale;
-        let metric = Metric::from_config(mentor.covariance, mentor.sigma_floor, scale, &waypoints.states)?;
+        let metric = Metric::of(mentor, &plan.spec.scale, &waypoints.states)?;
         let whitened = metric.whiten_all(&waypoints.states);
         Ok(Some(Self {
             similarity: Similarity::new(whitened, metric.dim(), e_th as f32),

@@ -6,7 +6,7 @@
 //! squared Euclidean distance of whitened states, and exact Euclidean indexes apply.
 
 use super::gaussian::{GaussianError, cholesky, solve_lower};
-use trestle_proto::config::CovarianceKind;
+use trestle_proto::config::{self, CovarianceKind};
 
 /// Whitened features are kept within this distance of 0, so that no distance is ever NaN.
 const WHITENED_MAX: f64 = 1e18;
@@ -21,6 +21,22 @@ pub enum MetricError {
         index: usize,
         /// Its standard deviation.
         sigma: f64,
+    },
+    /// Features to compare that are none, or not different ones.
+    #[error("mentor.features = {features:?}; accepted: numbers below {dim}, each once")]
+    Compared {
+        /// What is to be compared.
+        features: Vec<usize>,
+        /// Features of the environment.
+        dim: usize,
+    },
+    /// Standard deviations for other than all features.
+    #[error("mentor.scale has {found} numbers; accepted: {dim}, one for each feature of a state")]
+    Scale {
+        /// How many there are.
+        found: usize,
+        /// Features of the environment.
+        dim: usize,
     },
     /// States that are not whole.
     #[error("{found} numbers are no whole states of the environment's {dim} features")]
@@ -40,6 +56,8 @@ pub enum MetricError {
 pub struct Metric {
     dim: usize,
     whitener: Whitener,
+    /// Features that are not compared, ascending: they are 0 in every whitened state.
+    ignored: Vec<usize>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +69,42 @@ enum Whitener {
 }
 
 impl Metric {
-    /// The metric of a configuration.
+    /// The metric of a run: of `mentor`'s settings, for an environment whose features have these scales. `states` are all
+    /// mentor states, row-major.
+    ///
+    /// # Errors
+    /// As [`Metric::from_config`]; features that there are not, or a scale of other than all features.
+    pub fn of(mentor: &config::Mentor, scale: &[f32], states: &[f32]) -> Result<Self, MetricError> {
+        let (dim, features) = (scale.len(), &mentor.features);
+        let own: Vec<f32> = mentor.scale.iter().map(|&sigma| sigma as f32).collect();
+        if !own.is_empty() && own.len() != dim {
+            return Err(MetricError::Scale { found: own.len(), dim });
+        }
+        let mut compared = vec![features.is_empty(); dim];
+        for &feature in features {
+            match compared.get_mut(feature) {
+                Some(new @ false) => *new = true,
+                _ => return Err(MetricError::Compared { features: features.clone(), dim }),
+            }
+        }
+        let scale = if own.is_empty() { scale } else { &own };
+        let ignored: Vec<usize> = (0..dim).filter(|&feature| !compared[feature]).collect();
+        let without = |states: &[f32]| {
+            let mut states = states.to_vec();
+            for state in states.chunks_exact_mut(dim) {
+                ignored.iter().for_each(|&feature| state[feature] = 0.0);
+            }
+            states
+        };
+        // What is constant has no covariance with the others.
+        let metric = match ignored.is_empty() {
+            true => Self::from_config(mentor.covariance, mentor.sigma_floor, scale, states)?,
+            false => Self::from_config(mentor.covariance, mentor.sigma_floor, scale, &without(states))?,
+        };
+        Ok(Self { ignored, ..metric })
+    }
+
+    /// The metric of a covariance of all features.
     ///
     /// `states` are all mentor states, row-major. `scale` are the environment's feature scales, the standard deviations of
     /// [`CovarianceKind::Space`]. For [`CovarianceKind::Demonstration`] each standard deviation is that of the
@@ -92,7 +145,8 @@ impl Metric {
         if let Some((index, &sigma)) = sigma.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
             return Err(MetricError::Sigma { index, sigma });
         }
-        Ok(Self { dim: sigma.len(), whitener: Whitener::Diagonal(sigma.iter().map(|s| 1.0 / s).collect()) })
+        let whitener = Whitener::Diagonal(sigma.iter().map(|s| 1.0 / s).collect());
+        Ok(Self { dim: sigma.len(), whitener, ignored: Vec::new() })
     }
 
     /// The covariance `sigma`, row-major, `dim * dim`.
@@ -100,7 +154,7 @@ impl Metric {
     /// # Errors
     /// A covariance that is not positive definite.
     pub fn full(sigma: &[f64], dim: usize) -> Result<Self, MetricError> {
-        Ok(Self { dim, whitener: Whitener::Full(cholesky(sigma, dim)?) })
+        Ok(Self { dim, whitener: Whitener::Full(cholesky(sigma, dim)?), ignored: Vec::new() })
     }
 
     /// Features of a state.
@@ -112,6 +166,7 @@ impl Metric {
     pub fn whiten(&self, state: &[f32], scratch: &mut Vec<f64>, out: &mut Vec<f32>) {
         debug_assert_eq!(state.len(), self.dim);
         let narrow = |x: f64| x.clamp(-WHITENED_MAX, WHITENED_MAX) as f32;
+        let begin = out.len();
         match &self.whitener {
             Whitener::Diagonal(inverse) => {
                 out.extend(state.iter().zip(inverse).map(|(&x, i)| narrow(f64::from(x) * i)));
@@ -119,10 +174,12 @@ impl Metric {
             Whitener::Full(factor) => {
                 scratch.clear();
                 scratch.extend(state.iter().map(|&x| f64::from(x)));
+                self.ignored.iter().for_each(|&feature| scratch[feature] = 0.0);
                 solve_lower(factor, scratch);
                 out.extend(scratch.iter().map(|&x| narrow(x)));
             }
         }
+        self.ignored.iter().for_each(|&feature| out[begin + feature] = 0.0);
     }
 
     /// All `states` (row-major) whitened.
@@ -180,6 +237,42 @@ mod tests {
         assert_eq!(whitened(CovarianceKind::Demonstration), [4.0, 16.0]);
         let full = whitened(CovarianceKind::Full);
         assert!((full[0] - 8.0 / 4.25f32.sqrt()).abs() < 1e-5 && (full[1] - 16.0).abs() < 1e-5, "{full:?}");
+    }
+
+    #[test]
+    fn features_that_are_not_compared_count_for_nothing() {
+        let demo: Vec<f32> = (0..30).map(|i| ((i * i) % 17) as f32).collect();
+        for covariance in [CovarianceKind::Space, CovarianceKind::Demonstration, CovarianceKind::Full] {
+            let mut mentor = config::Mentor { covariance, features: vec![2, 0], ..config::Mentor::default() };
+            let some = Metric::of(&mentor, &[2.0, 3.0, 4.0], &demo).unwrap().whiten_all(&demo);
+            assert!(some.chunks_exact(3).all(|state| state[1] == 0.0));
+            // As if they were not there.
+            mentor.features.clear();
+            let pick = |states: &[f32]| -> Vec<f32> {
+                states.chunks_exact(3).flat_map(|state| [state[0], state[2]]).collect()
+            };
+            let alone = Metric::of(&mentor, &[2.0, 4.0], &pick(&demo)).unwrap().whiten_all(&pick(&demo));
+            let far = |(a, b): (&f32, &f32)| (a - b).abs() > 1e-5 * b.abs().max(1.0);
+            assert!(!pick(&some).iter().zip(&alone).any(far), "{covariance}");
+        }
+    }
+
+    #[test]
+    fn own_scales_take_the_place_of_the_environment_s() {
+        let mut mentor = config::Mentor { scale: vec![0.5, 4.0], ..config::Mentor::default() };
+        let metric = Metric::of(&mentor, &[1.0, 1.0], &[0.0; 4]).unwrap();
+        assert_eq!(metric.whiten_all(&[1.0, 1.0]), [2.0, 0.25]);
+        let refused = |mentor: &config::Mentor| Metric::of(mentor, &[1.0; 3], &[]).unwrap_err().to_string();
+        assert_eq!(
+            refused(&mentor),
+            "mentor.scale has 2 numbers; accepted: 3, one for each feature of a state"
+        );
+        mentor.scale.clear();
+        for features in [vec![3], vec![1, 1]] {
+            mentor.features = features.clone();
+            let expected = format!("mentor.features = {features:?}; accepted: numbers below 3, each once");
+            assert_eq!(refused(&mentor), expected);
+        }
     }
 
     #[test]

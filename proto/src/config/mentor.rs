@@ -20,6 +20,13 @@ settings! {
         inference: InferenceKind = InferenceKind::Similar;
         /// The covariance Σ of the state distance.
         covariance: CovarianceKind = CovarianceKind::Space;
+        /// The features that are compared, by their numbers; all if empty. For bodies that share their position and not their
+        /// velocity.
+        features: Vec<usize> = Vec::new(), any("numbers of features, each once");
+        /// With `covariance = "space"`: the standard deviation of each feature of a state, in place of the environment's own.
+        scale: Vec<f64> = Vec::new(), Accepts::when("a number above 0 for each feature of a state", |scale: &Vec<f64>| {
+            scale.iter().all(|&sigma| sigma.is_finite() && sigma > 0.0)
+        });
         /// Smallest standard deviation of a feature that is estimated from a demonstration.
         sigma_floor: f64 = 1e-6, above(0.0);
         /// States are similar up to this KL divergence.

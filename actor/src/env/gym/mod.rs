@@ -96,6 +96,7 @@ impl Kind for Gym {
     fn foreign(settings: &Settings) -> Option<Foreign> {
         let elsewhere = settings.python.is_some() || host().is_none();
         Some(Foreign {
+            here: host().is_some(),
             program: elsewhere.then(|| python(settings)),
             // Otherwise sets of texts have another order in each process.
             variables: vec![("PYTHONHASHSEED", "0")],
