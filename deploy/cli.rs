@@ -221,6 +221,9 @@ pub(crate) struct Report {
     /// Where the report goes; DIR/report if not given
     #[arg(long, value_name = "DIR", value_parser = Target)]
     pub(crate) out: Option<PathBuf>,
+    /// Leave headings and notes out of the files of pictures, as for a paper that has its own
+    #[arg(long)]
+    pub(crate) no_titles: bool,
 }
 
 #[derive(Debug, Args)]

@@ -63,7 +63,9 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     for (arm, warning) in arms(&tasks(&runs)).iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {
         crate::output::say(&format!("warning: {}, {}: {warning}", arm.task, arm.arm));
     }
-    if let Some(overview) = write(&Report { title, runs: &runs, notes, mazes }, &out)? {
+    if let Some(overview) =
+        write(&Report { title, runs: &runs, notes, titles: !args.no_titles, mazes }, &out)?
+    {
         over_tasks(&overview)?;
     }
     outln!("{} runs, {count} notes: {}", runs.len(), out.join("report.html").display());

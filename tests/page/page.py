@@ -94,6 +94,12 @@ class Visitor:
         check(what, self.page.evaluate("window.pwned") is None, "a script of a run was executed")
 
 
+    def letters(self, name):
+        """Letters of pictures are drawn in the picture's own measure."""
+        sizes = self.page.evaluate("[...document.querySelectorAll('svg text')].map(e => parseFloat(e.getAttribute('font-size')) * e.getScreenCTM().a)")
+        check(f"{name} on {self.name}", sizes and min(sizes) >= LEAST_TEXT, f"letters of {min(sizes, default=0):.1f} px in a picture")
+
+
 def hostile(folder, like):
     """A copy of the run `like` whose names, logs and settings are scripts."""
     run = folder / EVIL.replace("/", "") / "seed-0"
@@ -147,6 +153,8 @@ def main():
         sweep = place / "sweep"
         subprocess.run([program, "sweep", "maze-small", "--algos", "dqn,ha-diiqn", "--seeds", "0..3", "--env-steps", "4000", "--quiet",
                         "--out", sweep], check=True, capture_output=True, timeout=300)
+        subprocess.run([program, "report", sweep], check=True, capture_output=True, timeout=300)
+        report = (sweep / "report" / "report.html").as_uri()
         evil = place / "evil"
         hostile(evil, done)
         (evil / "out").symlink_to("/etc")
@@ -184,6 +192,8 @@ def main():
                 expect(visitor.page.locator(".card tbody a")).to_have_count(6)
                 visitor.visit("hostile-folder", evil_url, "tbody a")
                 visitor.visit("hostile", evil_url + evil_path, map_of)
+                visitor.visit("report", report, "figure svg")
+                visitor.letters("report")
                 visitor.visit("empty", empty_url, ".hero:visible")
                 visitor.visit("later", later_url, ".hero:visible")
                 visitor.visit("live", live_url, map_of)

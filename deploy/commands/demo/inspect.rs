@@ -39,8 +39,8 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             let env = &resolved.config.env;
             let drawn = registry().draw(env, &[(mentors.all.states(), 'm')])?;
             let ground = registry().ground(env)?;
-            let down = ground.is_some_and(|ground| grows_down(ground.as_ref(), mentors.all.dim()));
-            picture(args, &mentors.all, down, drawn)
+            let down = ground.as_ref().is_some_and(|ground| grows_down(ground.as_ref(), mentors.all.dim()));
+            picture(args, &mentors.all, down, drawn, ground.as_deref())
         }
         None => {
             let demonstration = demo_file::read(&file)?;
@@ -55,7 +55,7 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             outln!("{} by itself, KL in standard deviations of its own features", file.display());
             outln!("{}", summarise(&demonstration, &metric, n as usize, &[]).to_string().trim_end());
             outln!("With --config PRESET|CONFIG.TOML: the metric of that, its thresholds and its map");
-            picture(args, &demonstration, false, None)
+            picture(args, &demonstration, false, None, None)
         }
     }
 }
@@ -71,14 +71,22 @@ fn grows_down(ground: &dyn Ground, dim: usize) -> bool {
 
 /// Draws on the terminal, on the map `drawn` where there is one and no axes are asked for, and into a file; `down` if
 /// the second feature grows downwards.
-fn picture(args: &Inspect, demonstration: &Demonstration, down: bool, drawn: Option<String>) -> Result<()> {
+fn picture(
+    args: &Inspect,
+    demonstration: &Demonstration,
+    down: bool,
+    drawn: Option<String>,
+    ground: Option<&dyn Ground>,
+) -> Result<()> {
     let picture = Picture::new(demonstration, args.axes, down)?;
     match drawn {
         Some(map) if args.axes.is_none() => outln!("{map}"),
         _ => outln!("{}", picture.text()),
     }
     if let Some(svg) = &args.svg {
-        fs::write(svg, picture.svg()).with_context(|| format!("cannot write {}", svg.display()))?;
+        // Walls are where the first two features say.
+        fs::write(svg, picture.svg(ground.filter(|_| args.axes.is_none())))
+            .with_context(|| format!("cannot write {}", svg.display()))?;
         outln!("drawing       {}", svg.display());
     }
     Ok(())

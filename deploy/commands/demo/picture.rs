@@ -3,14 +3,17 @@
 use anyhow::{Result, ensure};
 use std::fmt::Write;
 use std::ops::Range;
+use trestle_actor::env::Ground;
 use trestle_algorithm::demonstration::Demonstration;
 
 /// Characters of a picture in a terminal; one is about twice as high as wide.
 const COLUMNS: usize = 64;
 const ROWS: usize = 24;
-/// Longest side of an SVG's drawing, and its margin, pixels.
+/// Longest side of an SVG's drawing, and the room around it, pixels.
 const SIDE: f64 = 640.0;
-const MARGIN: f64 = 24.0;
+const MARGIN: f64 = 16.0;
+const LEFT: f64 = 64.0;
+const BELOW: f64 = 48.0;
 /// About the most points that an SVG has; of more states, every second, third, ... one is drawn.
 const MAX_POINTS: usize = 50_000;
 
@@ -114,48 +117,118 @@ impl<'a> Picture<'a> {
         out
     }
 
-    /// A drawing that keeps the proportions of two features: a line a trajectory, a ring where it begins, a dot where
-    /// it ends, filled if that is a terminal state.
-    pub(super) fn svg(&self) -> String {
-        let longest = self.extent[0].max(self.extent[1]);
+    /// A drawing that keeps the proportions of two features, with their names and ticks: a line a trajectory, a ring where it
+    /// begins, a dot where it ends, filled if that is a terminal state. The walls of `ground` are drawn where there is one.
+    pub(super) fn svg(&self, ground: Option<&dyn Ground>) -> String {
+        let walls = ground.map_or_else(Vec::new, walls);
+        let corners: Vec<[f64; 2]> = walls.iter().flatten().copied().collect();
+        let (mut low, mut high) = (self.low, [0, 1].map(|axis: usize| self.low[axis] + self.extent[axis]));
+        for point in &corners {
+            for axis in 0..2 {
+                low[axis] = low[axis].min(point[axis]);
+                high[axis] = high[axis].max(point[axis]);
+            }
+        }
+        let extent = [0, 1].map(|axis: usize| high[axis] - low[axis]);
+        let whole = Picture { low, extent, ..*self };
+        let longest = extent[0].max(extent[1]);
         let [width, height] = match self.axes.0 {
             // In proportion, but never a mere line.
-            Some(_) => self.extent.map(|extent| SIDE * (extent / longest).max(0.05)),
+            Some(_) => extent.map(|extent| SIDE * (extent / longest).max(0.05)),
             None => [SIDE, SIDE / 2.0],
         };
         let every = self.demonstration.n_states().div_ceil(MAX_POINTS);
         let at = |point: [f64; 2]| {
-            let [x, y] = self.place(point);
-            [MARGIN + x * width, MARGIN + y * height]
+            let [x, y] = whole.place(point);
+            [LEFT + x * width, MARGIN + y * height]
         };
-        let (full_width, full_height) = (width + 2.0 * MARGIN, height + 2.0 * MARGIN);
+        let (full_width, full_height) = (LEFT + width + MARGIN, MARGIN + height + BELOW);
         let mut out = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {full_width:.1} {full_height:.1}\" \
-             font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
+             font-family=\"sans-serif\" font-size=\"13\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
+        );
+        // Writing to a string cannot fail.
+        for wall in &walls {
+            let [[x0, y0], [x1, y1]] = wall.map(at);
+            let (x, y, w, h) = (x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs());
+            let _ = writeln!(
+                out,
+                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.1}\" height=\"{h:.1}\" fill=\"#3c3e46\" shape-rendering=\"crispEdges\"/>"
+            );
+        }
+        let (right, bottom) = (LEFT + width, MARGIN + height);
+        for x in ticks(low[0], high[0]) {
+            let [x0, _] = at([x, low[1]]);
+            let _ = writeln!(
+                out,
+                "<path d=\"M{x0:.1} {bottom:.1}v5\" stroke=\"#1f2024\"/><text x=\"{x0:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x}</text>",
+                bottom + 19.0
+            );
+        }
+        for y in ticks(low[1], high[1]) {
+            let [_, y0] = at([low[0], y]);
+            let _ = writeln!(
+                out,
+                "<path d=\"M{LEFT} {y0:.1}h-5\" stroke=\"#1f2024\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{y}</text>",
+                LEFT - 8.0,
+                y0 + 4.5
+            );
+        }
+        let _ = writeln!(
+            out,
+            "<rect x=\"{LEFT}\" y=\"{MARGIN}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"none\" stroke=\"#1f2024\"/>"
         );
         for i in 0..self.demonstration.n_trajectories() {
             let points: Vec<[f64; 2]> = self.points(i, every).map(at).collect();
             let line: Vec<String> = points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
             let ([x0, y0], [x1, y1]) = (points[0], points[points.len() - 1]);
-            let fill = if self.demonstration.terminal(i) { "#c33" } else { "#fff" };
-            // Writing to a string cannot fail.
+            let fill = if self.demonstration.terminal(i) { "#c04e00" } else { "#fff" };
             let _ = write!(
                 out,
-                "<polyline fill=\"none\" stroke=\"#36c\" stroke-opacity=\"0.6\" points=\"{}\"/>\n\
-                 <circle cx=\"{x0:.1}\" cy=\"{y0:.1}\" r=\"4\" fill=\"none\" stroke=\"#393\"/>\n\
-                 <circle cx=\"{x1:.1}\" cy=\"{y1:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"#c33\"/>\n",
+                "<polyline fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\" stroke-opacity=\"0.7\" points=\"{}\"/>\n\
+                 <circle cx=\"{x0:.1}\" cy=\"{y0:.1}\" r=\"4\" fill=\"none\" stroke=\"#009e73\" stroke-width=\"2\"/>\n\
+                 <circle cx=\"{x1:.1}\" cy=\"{y1:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"#c04e00\"/>\n",
                 line.join(" ")
             );
         }
         let [x, y] = self.names().map(escape);
+        let (middle, half) = ((LEFT + right) / 2.0, MARGIN + height / 2.0);
         let _ = write!(
             out,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{x}</text>\n<text x=\"4\" y=\"14\">{y}</text>\n</svg>\n",
-            full_width - 4.0,
-            full_height - 6.0
+            "<text x=\"{middle:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x}</text>\n<text x=\"14\" y=\"{half:.1}\" \
+             text-anchor=\"middle\" transform=\"rotate(-90 14 {half:.1})\">{y}</text>\n</svg>\n",
+            full_height - 8.0
         );
         out
     }
+}
+
+/// Two opposite corners of each wall, as the first two features say them.
+fn walls(ground: &dyn Ground) -> Vec<[[f64; 2]; 2]> {
+    let [columns, rows] = ground.size();
+    let corner = |place: [f64; 2]| {
+        let state = ground.state(place);
+        [f64::from(state[0]), f64::from(state[1])]
+    };
+    let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| [column, row]));
+    cells
+        .filter(|&cell| !ground.is_free(cell))
+        .map(|cell| cell.map(|at| at as f64))
+        .map(|[column, row]| [corner([column - 0.5, row - 0.5]), corner([column + 0.5, row + 0.5])])
+        .collect()
+}
+
+/// Round numbers from `low` to `high`, some five of them.
+fn ticks(low: f64, high: f64) -> Vec<f64> {
+    let rough = (high - low) / 5.0;
+    let power = 10f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|unit| unit * power).find(|&step| step >= rough);
+    let Some(step) = step.filter(|step| step.is_normal()) else { return Vec::new() };
+    let first = (low / step).ceil() as i64;
+    // Multiples of a step have its digits and no more.
+    let digits = (-step.log10().floor()).max(0.0) as usize;
+    let round = |x: f64| format!("{x:.digits$}").parse().unwrap_or(x);
+    (first..).map(|n| round(n as f64 * step)).take_while(|&x| x <= high + 1e-9 * step).take(20).collect()
 }
 
 fn escape(text: &str) -> String {
@@ -191,19 +264,56 @@ mod tests {
     }
 
     #[test]
+    fn ticks_are_round_numbers_within_the_bounds() {
+        assert_eq!(ticks(0.0, 4.0), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(ticks(-0.3, 0.31), [-0.2, 0.0, 0.2]);
+        assert_eq!(ticks(12.0, 1012.0), [200.0, 400.0, 600.0, 800.0, 1000.0]);
+        assert!(ticks(1.0, 1.0).is_empty() && ticks(0.0, f64::MIN_POSITIVE).is_empty());
+    }
+
+    #[test]
+    fn walls_are_drawn_where_the_map_has_them() {
+        struct Wall;
+        impl Ground for Wall {
+            fn size(&self) -> [usize; 2] {
+                [3, 1]
+            }
+            fn is_free(&self, cell: [usize; 2]) -> bool {
+                cell[0] != 1
+            }
+            fn ends(&self) -> [[f64; 2]; 2] {
+                [[0.0; 2], [2.0, 0.0]]
+            }
+            fn places(&self, states: &[f32]) -> Vec<[f64; 2]> {
+                states.chunks_exact(2).map(|state| [state[0].into(), state[1].into()]).collect()
+            }
+            fn state(&self, place: [f64; 2]) -> Vec<f32> {
+                place.map(|x| x as f32).to_vec()
+            }
+        }
+        let svg = Picture::new(&square(), None, true).unwrap().svg(Some(&Wall));
+        // From 0.5 to 1.5 of 0 to 4, and from -0.5 to 0.5 of -0.5 to 2.
+        assert!(
+            svg.contains("x=\"144.0\" y=\"16.0\" width=\"160.0\" height=\"160.0\" fill=\"#3c3e46\""),
+            "{svg}"
+        );
+    }
+
+    #[test]
     fn a_drawing_keeps_proportions_and_thins_long_lines() {
-        let svg = Picture::new(&square(), None, false).unwrap().svg();
-        assert!(svg.contains("viewBox=\"0 0 688.0 368.0\""), "{svg}");
-        assert!(svg.contains("points=\"24.0,344.0 664.0,344.0 664.0,24.0\""), "{svg}");
-        assert!(svg.contains("a&lt;b") && svg.contains("fill=\"#c33\""), "{svg}");
+        let svg = Picture::new(&square(), None, false).unwrap().svg(None);
+        assert!(svg.contains("viewBox=\"0 0 720.0 384.0\""), "{svg}");
+        assert!(svg.contains("points=\"64.0,336.0 704.0,336.0 704.0,16.0\""), "{svg}");
+        assert!(svg.contains("a&lt;b") && svg.contains("fill=\"#c04e00\""), "{svg}");
+        assert!(svg.contains(">4</text>") && svg.contains(">0.5</text>"), "{svg}");
         let mut long = Demonstration::new(vec!["x".into()]).unwrap();
         long.push_trajectory(&(0..200_001).map(|i| i as f32).collect::<Vec<_>>(), false).unwrap();
-        let svg = Picture::new(&long, None, false).unwrap().svg();
+        let svg = Picture::new(&long, None, false).unwrap().svg(None);
         let points = svg.split("points=\"").nth(1).unwrap().split('"').next().unwrap().split(' ').count();
         assert!((40_000..=50_001).contains(&points), "{points}");
         let mut still = Demonstration::new(vec!["x".into(), "y".into()]).unwrap();
         still.push_trajectory(&[1.0; 4], false).unwrap();
         let picture = Picture::new(&still, None, false).unwrap();
-        assert!(!picture.svg().contains("NaN") && picture.text().contains('E'));
+        assert!(!picture.svg(None).contains("NaN") && picture.text().contains('E'));
     }
 }

@@ -71,12 +71,15 @@ struct Layout {
 
 /// Heading above the map, legend beside it.
 const ON_PAPER: Layout = Layout { longest: 504, top: 56, letters: 12 };
+/// Legend beside the map, and no heading.
+const AS_FIGURE: Layout = Layout { longest: 504, top: 8, letters: 12 };
 /// Legend below the map.
 const ON_PAGE: Layout = Layout { longest: 368, top: 8, letters: 18 };
 
 fn layout(view: View) -> &'static Layout {
     match view {
         View::Paper => &ON_PAPER,
+        View::Figure => &AS_FIGURE,
         View::Page => &ON_PAGE,
     }
 }
@@ -212,7 +215,7 @@ impl Maze {
         let Layout { top, .. } = *layout(view);
         let [width, height] = self.size.map(|n| n as i32 * side);
         let size = match view {
-            View::Paper => [LEFT + width + LEGEND, (top + height + 16).max(top + 200)],
+            View::Paper | View::Figure => [LEFT + width + LEGEND, (top + height + 16).max(top + 200)],
             View::Page => [(2 * LEFT + width).max(320), top + height + BELOW],
         };
         svg(size.map(|n| n as u32), |area| {
@@ -305,7 +308,7 @@ impl Picture<'_, '_> {
     fn beside(&self) -> (i32, i32) {
         let [width, height] = self.maze.size.map(|n| n as i32 * self.side);
         match self.view {
-            View::Paper => (LEFT + width + 16, self.top + 8),
+            View::Paper | View::Figure => (LEFT + width + 16, self.top + 8),
             View::Page => (LEFT, self.top + height + 16),
         }
     }
@@ -341,7 +344,9 @@ impl Picture<'_, '_> {
         for step in (0..LENGTH).step_by(2) {
             let color = shade(f64::from(step) / f64::from(LENGTH)).filled();
             match self.view {
-                View::Paper => fill([(left, bottom - step - 2), (left + 18, bottom - step)], color)?,
+                View::Paper | View::Figure => {
+                    fill([(left, bottom - step - 2), (left + 18, bottom - step)], color)?
+                }
                 View::Page => fill([(left + 2 * step, top + 16), (left + 2 * step + 4, top + 34)], color)?,
             }
         }
@@ -350,7 +355,7 @@ impl Picture<'_, '_> {
             let words = format!("{mark:.decimals$}");
             let along = LENGTH / 2 * index as i32;
             match self.view {
-                View::Paper => {
+                View::Paper | View::Figure => {
                     let y = bottom - along;
                     self.path(vec![(left + 18, y), (left + 23, y)], INK.stroke_width(1))?;
                     self.say(&words, letters, HPos::Left, (left + 28, y - 6))?;

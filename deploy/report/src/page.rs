@@ -168,7 +168,7 @@ fn figures(sections: &[Section<'_>], of: impl Fn(Part) -> bool) -> String {
             let _ = writeln!(
                 text,
                 "<figure><figcaption><b>{title}</b> <span class=\"faint\">{note} (<a href=\"pictures/{file}.svg\">SVG</a>, \
-                 <a href=\"pictures/{file}.png\">PNG</a>)</span></figcaption>{svg}</figure>"
+                 <a href=\"pictures/{file}.png\">PNG</a>, <a href=\"pictures/{file}.pdf\">PDF</a>)</span></figcaption>{svg}</figure>"
             );
         }
         text.push_str("</div>\n");

@@ -6,10 +6,12 @@
 
 mod chart;
 mod intervals;
+mod pdf;
 mod scale;
 
 pub use chart::{Chart, Line};
 pub use intervals::{Intervals, Row};
+pub use pdf::pdf;
 pub use scale::{Axis, Scale};
 
 use plotters::backend::SVGBackend;
@@ -62,6 +64,8 @@ const DASHES: [(u32, u32); 4] = [(1, 0), (9, 4), (3, 3), (14, 4)];
 pub enum View {
     /// By itself, with heading, note and legend.
     Paper,
+    /// By itself in a text that has the heading and the note below it, as a paper has.
+    Figure,
     /// On a page that says the rest: narrow, so that its letters can be read on a phone.
     Page,
 }
@@ -130,13 +134,18 @@ pub fn png(svg: &str) -> Result<Vec<u8>, PlotError> {
     raster(svg, 2.0)?.encode_png().map_err(|e| PlotError::Raster(e.to_string()))
 }
 
-/// `svg` as pixels, `zoom` for each of its own.
-pub(crate) fn raster(svg: &str, zoom: f32) -> Result<Pixmap, PlotError> {
+/// `svg` as it is read, its letters in the font that is part of the program.
+fn tree(svg: &str) -> Result<Tree, PlotError> {
     let mut options = Options::default();
     let fonts = Arc::make_mut(&mut options.fontdb);
     fonts.load_font_data(include_bytes!("../font/DejaVuSans-subset.ttf").to_vec());
     fonts.set_sans_serif_family("DejaVu Sans");
-    let tree = Tree::from_str(svg, &options).map_err(|e| PlotError::Raster(e.to_string()))?;
+    Tree::from_str(svg, &options).map_err(|e| PlotError::Raster(e.to_string()))
+}
+
+/// `svg` as pixels, `zoom` for each of its own.
+pub(crate) fn raster(svg: &str, zoom: f32) -> Result<Pixmap, PlotError> {
+    let tree = tree(svg)?;
     let size = tree.size();
     let pixels = |side: f32| (side * zoom).ceil() as u32;
     let mut pixmap = Pixmap::new(pixels(size.width()), pixels(size.height()))

@@ -4,7 +4,7 @@
 //! report.html            everything, in one file that needs nothing else
 //! report.json            the same numbers for programs; see docs/reports.md
 //! runs.csv               a line a run
-//! pictures/<name>.svg    every picture, and as .png
+//! pictures/<name>.svg    every picture, and as .png and .pdf
 //! data/<name>.csv        the numbers behind it
 //! ```
 
@@ -12,7 +12,7 @@ use crate::curves::{self, Axis};
 use crate::maze::Maze;
 use crate::over_tasks::{self, Bound, Overview, Ratio};
 use crate::page::{self, Figure, Part, Section, Tables};
-use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, View, png};
+use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, View, pdf, png};
 use crate::read::{Run, Series};
 use crate::stats::Estimate;
 use crate::summary::{self, ArmSummary, Comparison, Group, Task, Time, order};
@@ -62,6 +62,8 @@ pub struct Report<'a> {
     pub runs: &'a [Run],
     /// Notes about everything that is missing.
     pub notes: Vec<String>,
+    /// Whether the files of pictures have headings and notes.
+    pub titles: bool,
     /// Name of task and arm, and one of its runs in its maze.
     pub mazes: Vec<(String, String, Maze)>,
 }
@@ -121,7 +123,7 @@ pub fn write(report: &Report<'_>, out: &Path) -> Result<Option<Overview>, WriteE
     let tasks = summary::tasks(report.runs);
     let (arms, comparisons) = (summary::arms(&tasks), summary::comparisons(&tasks));
     let overview = over_tasks::overview(&tasks);
-    let mut output = Output { dir: out, figures: Vec::new(), part: Part::Times };
+    let mut output = Output { dir: out, figures: Vec::new(), part: Part::Times, titles: report.titles };
     for dir in [out.to_path_buf(), out.join("pictures"), out.join("data")] {
         fs::create_dir_all(&dir).map_err(|source| WriteError::Io { path: dir, source })?;
     }
@@ -227,6 +229,8 @@ struct Output<'a> {
     figures: Vec<Figure>,
     /// What the pictures that come next are about.
     part: Part,
+    /// Whether files of pictures have headings and notes.
+    titles: bool,
 }
 
 impl Output<'_> {
@@ -253,9 +257,10 @@ impl Output<'_> {
         [title, note]: [&str; 2],
         draw: impl Fn(View) -> Result<String, PlotError>,
     ) -> Result<(), WriteError> {
-        let svg = draw(View::Paper)?;
+        let svg = draw(if self.titles { View::Paper } else { View::Figure })?;
         self.file(&format!("pictures/{name}.svg"), svg.as_bytes())?;
         self.file(&format!("pictures/{name}.png"), &png(&svg)?)?;
+        self.file(&format!("pictures/{name}.pdf"), &pdf(&svg)?)?;
         let (title, note, svg) = (title.into(), note.into(), plot::inline(&draw(View::Page)?));
         self.figures.push(Figure { title, note, file: name.into(), svg, part: self.part });
         Ok(())

@@ -364,7 +364,7 @@ export class BridgeMap {
       const fresh = 1 - Math.min(1, (steps - found) / (0.25 * steps));
       const arc = h("path", {
         class: step === this.picked ? "arc picked" : "arc", d: `M${x} ${y}Q${near(cx)} ${near(cy)} ${end[0]} ${end[1]}`,
-        "stroke-width": step === this.picked ? 3 : near(1.4 + 1.2 * fresh), opacity: near(0.55 + 0.45 * fresh),
+        "stroke-width": step === this.picked ? 3 : near(1.8 + fresh), opacity: near(0.75 + 0.25 * fresh),
       }, h("title", {}, `Bridge of ${span} steps from mentor step ${step * this.stride}, known for ${count(steps - found)} environment steps`));
       parts.push(arc);
     });

@@ -56,7 +56,7 @@ export class RunView {
     this.element = h("div", { class: "stack" },
       h("div", { class: "head" }, this.title, this.pills, this.subtitle), this.fault,
       h("div", { class: "progress" }, this.track, this.facts),
-      h("dl", { class: "tiles" }, tile("last", "Last greedy return"), tile("best", "Best greedy return"), tile("threshold", "Threshold"),
+      h("dl", { class: "tiles" }, tile("last", "Last greedy"), tile("best", "Best greedy"), tile("threshold", "Threshold"),
         tile("feasible", "Feasible"), tile("bridged", "Bridged"), tile("loss", "Mentor in the loss"), tile("epsilon", "ε"), tile("replay", "Replay")),
       h("div", { class: "two" }, this.map.element,
         h("div", { class: "stack" },

@@ -17,16 +17,20 @@ struct Layout {
     letters: u32,
     /// Room between two ticks of the horizontal axis, ticks: every second, third, ... one has a label.
     every: usize,
-    /// Whether heading, note and legend are part of the picture.
-    whole: bool,
+    /// Whether heading and note, and whether legend and name of the vertical axis are part of the picture.
+    head: bool,
+    legend: bool,
 }
 
 /// A picture that stands for itself.
 const PAPER: Layout =
-    Layout { size: [720, 420], frame: [76, 52, 548, 362], letters: 12, every: 1, whole: true };
+    Layout { size: [720, 420], frame: [76, 52, 548, 362], letters: 12, every: 1, head: true, legend: true };
+/// The same without its head.
+const FIGURE: Layout =
+    Layout { size: [720, 376], frame: [76, 8, 548, 318], letters: 12, every: 1, head: false, legend: true };
 /// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
 const PAGE: Layout =
-    Layout { size: [400, 300], frame: [72, 12, 386, 240], letters: 18, every: 2, whole: false };
+    Layout { size: [400, 300], frame: [72, 12, 386, 240], letters: 18, every: 2, head: false, legend: false };
 
 /// A line with a band around it.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,6 +66,7 @@ impl Chart {
     pub fn svg(&self, view: View) -> Result<String, PlotError> {
         let layout = match view {
             View::Paper => &PAPER,
+            View::Figure => &FIGURE,
             View::Page => &PAGE,
         };
         svg(layout.size, |area| self.draw(area, layout))
@@ -83,9 +88,11 @@ impl Chart {
         let [left, top, right, bottom] = layout.frame;
         let (letters, height) = (layout.letters, layout.size[1] as i32);
         let say = |words: &str, style, at| area.draw_text(words, &style, at).map_err(PlotError::draw);
-        if layout.whole {
+        if layout.head {
             say(&self.title, text(16, HPos::Left, VPos::Top), (left, 10))?;
             say(&self.note, text(12, HPos::Left, VPos::Top), (left, 31))?;
+        }
+        if layout.legend {
             // On a page it is the heading.
             say(&self.y.label, upward(letters + 1), (8, (top + bottom) / 2))?;
         }
@@ -121,7 +128,8 @@ impl Chart {
         let frame = Rectangle::new([(left, top), (right, bottom)], INK.stroke_width(1));
         area.draw(&frame).map_err(PlotError::draw)?;
         // An arm without a line here has no entry either.
-        let drawn = self.lines.iter().enumerate().filter(|(_, line)| layout.whole && !line.points.is_empty());
+        let drawn =
+            self.lines.iter().enumerate().filter(|(_, line)| layout.legend && !line.points.is_empty());
         for (place, (index, line)) in drawn.enumerate() {
             let y = top + 8 + 20 * place as i32;
             self.dashed(

@@ -17,18 +17,39 @@ struct Layout {
     /// Every second, third, ... tick has a label.
     every: usize,
     /// Whether heading and note are part of the picture.
-    whole: bool,
+    head: bool,
+    /// Height of a row.
+    row: i32,
+    /// Whether names stand beside the bars, and not above them.
+    beside: bool,
 }
 
 /// A picture that stands for itself.
-const PAPER: Layout =
-    Layout { width: 720, left: 210, right: 610, top: 56, letters: 12, every: 1, whole: true };
+const PAPER: Layout = Layout {
+    width: 720,
+    left: 210,
+    right: 610,
+    top: 56,
+    letters: 12,
+    every: 1,
+    head: true,
+    row: 26,
+    beside: true,
+};
+/// The same without its head.
+const FIGURE: Layout = Layout { top: 12, head: false, ..PAPER };
 /// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
-const PAGE: Layout = Layout { width: 400, left: 8, right: 290, top: 8, letters: 18, every: 2, whole: false };
-/// Height of a row; on a page the name stands above the bar.
-const ROW: i32 = 26;
-const PAGE_ROW: i32 = 50;
-
+const PAGE: Layout = Layout {
+    width: 400,
+    left: 8,
+    right: 290,
+    top: 8,
+    letters: 18,
+    every: 2,
+    head: false,
+    row: 50,
+    beside: false,
+};
 /// A line of the chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -57,12 +78,6 @@ pub struct Intervals {
     pub rule: Option<f64>,
 }
 
-impl Layout {
-    fn row(&self) -> i32 {
-        if self.whole { ROW } else { PAGE_ROW }
-    }
-}
-
 impl Intervals {
     /// Draws it for `view`.
     ///
@@ -71,9 +86,10 @@ impl Intervals {
     pub fn svg(&self, view: View) -> Result<String, PlotError> {
         let layout = match view {
             View::Paper => &PAPER,
+            View::Figure => &FIGURE,
             View::Page => &PAGE,
         };
-        let height = layout.top + layout.row() * self.rows.len() as i32 + 3 * layout.letters as i32 + 8;
+        let height = layout.top + layout.row * self.rows.len() as i32 + 3 * layout.letters as i32 + 8;
         svg([layout.width, height as u32], |area| self.draw(area, layout, height))
     }
 
@@ -85,12 +101,12 @@ impl Intervals {
 
     fn draw(&self, area: &Area<'_>, layout: &Layout, height: i32) -> Result<(), PlotError> {
         let Layout { left, right, top, letters, .. } = *layout;
-        let bottom = top + layout.row() * self.rows.len() as i32;
+        let bottom = top + layout.row * self.rows.len() as i32;
         let say = |words: &str, style, at| area.draw_text(words, &style, at).map_err(PlotError::draw);
         let path = |points: &[(i32, i32)], style: ShapeStyle| {
             area.draw(&PathElement::new(points.to_vec(), style)).map_err(PlotError::draw)
         };
-        if layout.whole {
+        if layout.head {
             say(&self.title, text(16, HPos::Left, VPos::Top), (12, 10))?;
             say(&self.note, text(12, HPos::Left, VPos::Top), (12, 31))?;
         }
@@ -106,11 +122,11 @@ impl Intervals {
             path(&[(at, top), (at, bottom)], INK.stroke_width(1))?;
         }
         for (index, row) in self.rows.iter().enumerate() {
-            let begin = top + layout.row() * index as i32;
-            let y = begin + if layout.whole { ROW / 2 } else { PAGE_ROW - 12 };
+            let begin = top + layout.row * index as i32;
+            let y = begin + if layout.beside { layout.row / 2 } else { layout.row - 12 };
             let bar = color(row.arm).stroke_width(3);
             let Estimate { mid, low, high } = row.estimate;
-            match layout.whole {
+            match layout.beside {
                 true => say(&row.name, text(letters, HPos::Right, VPos::Center), (left - 8, y))?,
                 false => say(&row.name, text(letters, HPos::Left, VPos::Top), (left + 6, begin + 4))?,
             }
