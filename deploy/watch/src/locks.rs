@@ -15,7 +15,7 @@ pub(crate) struct Locks(BTreeSet<u64>);
 impl Locks {
     /// Those of this moment; empty where the system has no list.
     pub(crate) fn now() -> Self {
-        File::open("/proc/locks").map_or_else(|_| Self::default(), |file| Self::parse(file))
+        File::open("/proc/locks").map_or_else(|_| Self::default(), Self::parse)
     }
 
     /// Reads lines such as `1: FLOCK  ADVISORY  WRITE 1234 08:01:5678 0 EOF`.

@@ -2,7 +2,7 @@
 //!
 //! The first line says what stays the same, each later one what the run knew and did at one moment: the findings about each
 //! mentor transition, where the agent has been, its values and greedy actions, and the path of its newest evaluation.
-//! ([docs/run-directory.md] has the keys.)
+//! (docs/run-directory.md has the keys.)
 //!
 //! A run writes at most [`MOST`] moments. When there are as many, every second one goes and the pauses double, so that the
 //! whole run is covered evenly. A pause is also at least [`REST`] times as long as a moment took to make: it costs next to
