@@ -147,6 +147,7 @@ def main():
         done, plain = runs / "maze-ha-diiqn-seed0", runs / "maze-dqn-seed0"
         train(program, "maze-small", "--algo", "ha-diiqn", "--env-steps", "8000", "--quiet", "--out", done)
         train(program, "maze-small", "--algo", "dqn", "--env-steps", "8000", "--quiet", "--out", plain)
+        train(program, "maze-small", "--mode", "free", "--actors", "2", "--env-steps", "4000", "--quiet", "--out", runs / "free")
         hazard = ["--set", "env.hazard.kind=panic", "--set", "env.hazard.after=2000", "--set", "supervise.restarts=0"]
         failed = train(program, "maze-small", "--quiet", "--out", runs / "failing", *hazard, check_status=False)
         check("failing", failed.returncode != 0, "the run did not fail")
@@ -187,6 +188,9 @@ def main():
                 visitor.judge(f"finished, used, on {visitor.name}")
                 visitor.visit("failing", f"{url}/run/failing", ".note:not(.hidden)")
                 expect(visitor.page.locator(".note:not(.hidden)")).to_contain_text("not started again")
+                visitor.visit("free", f"{url}/run/free", "tbody td")
+                inside = visitor.page.evaluate("(() => { const [a, b] = ['.wide', '.card:has(> * > .wide)'].map(s => document.querySelector(s).getBoundingClientRect().right); return a <= b })()")
+                check(f"free on {visitor.name}", inside, "a table is wider than its card")
                 visitor.visit("folder", url, "tbody a")
                 visitor.visit("sweep", sweep_url, "tbody a")
                 expect(visitor.page.locator(".card tbody a")).to_have_count(6)

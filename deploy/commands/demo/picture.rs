@@ -129,7 +129,8 @@ impl<'a> Picture<'a> {
                 high[axis] = high[axis].max(point[axis]);
             }
         }
-        let extent = [0, 1].map(|axis: usize| high[axis] - low[axis]);
+        // A state that stays where it is has none.
+        let extent = [0, 1].map(|axis: usize| (high[axis] - low[axis]).max(f64::MIN_POSITIVE));
         let whole = Picture { low, extent, ..*self };
         let longest = extent[0].max(extent[1]);
         let [width, height] = match self.axes.0 {

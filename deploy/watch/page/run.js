@@ -150,7 +150,7 @@ export class RunView {
     this.facts.replaceChildren(...[
       ["episodes", `${count(state.episodes)}${of(facts.limit_episodes)}`], ["environment steps", `${count(state.env_steps)}${of(facts.limit_env_steps)}`],
       ["steps/s", count(fps)], ["so far", duration(state.wall_s)], state.left_s !== null && ["left", duration(state.left_s)],
-      state.restarts > 0 && ["restarts", count(state.restarts)], state.read < 1 && ["of the records read", percent(state.read)],
+      state.restarts > 0 && [state.restarts === 1 ? "restart" : "restarts", count(state.restarts)], state.read < 1 && ["of the records read", percent(state.read)],
     ].filter(Boolean).map(([what, value]) => h("span", {}, h("b", {}, value), ` ${what}`)));
     const figure = (key) => last(state.figures?.[key]);
     const tiles = {
@@ -224,7 +224,7 @@ export class RunView {
       return;
     }
     const heads = ["actor", "incarnation", "batches", "steps", "staleness", "most"];
-    this.actors.replaceChildren(h("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Actors" }, h("table", {},
+    this.actors.replaceChildren(h("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Table of actors" }, h("table", {},
       h("thead", {}, h("tr", {}, heads.map((head) => h("th", { scope: "col" }, head)))),
       h("tbody", {}, actors.map((row) => h("tr", {}, row.map((cell, at) => h("td", {}, at === 1 ? incarnation(cell) : cell === "" ? "–" : cell))))))));
   }
