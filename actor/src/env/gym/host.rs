@@ -29,11 +29,14 @@ pub trait Simulator: Send {
     fn step(&mut self, action: usize, obs: &mut [f32]) -> Result<Outcome, GymError>;
 }
 
+/// An environment, or why there is none.
+pub type Made = Result<Box<dyn Simulator>, GymError>;
+
 /// Makes environments.
 #[derive(Clone, Copy)]
 pub struct Host {
     /// The environment of these settings, as it was found.
-    pub make: fn(&Settings, &Found) -> Result<Box<dyn Simulator>, GymError>,
+    pub make: fn(&Settings, &Found) -> Made,
 }
 
 static HOST: OnceLock<Host> = OnceLock::new();

@@ -1,7 +1,7 @@
 //! Any environment with Gymnasium's interface, run by the Python of its process.
 //!
 //! - [`Settings`]: its table of a configuration;
-//! - [`Found`]: its spaces, found by [`probe`] before the run;
+//! - [`Found`]: its spaces, found by `probe` before the run;
 //! - [`Gym`]: the environment: episodes, and their repetition where one is restored;
 //! - [`Host`]: who steps it. Trestle's Python package installs one.
 
@@ -18,7 +18,7 @@ mod tests;
 pub use environment::Gym;
 pub use error::GymError;
 pub use found::{Actions, Features, Found};
-pub use host::{Host, Outcome, Simulator, install_host};
+pub use host::{Host, Made, Outcome, Simulator, install_host};
 pub use settings::{Kwargs, Picks, Settings};
 
 use super::{EnvError, Foreign, Kind};
