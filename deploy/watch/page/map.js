@@ -87,7 +87,7 @@ export class BridgeMap {
         h("span", {}, h("button", { type: "button", "aria-label": "Step before", onclick: () => this.pick(this.picked - 1) }, "←"), " ",
           h("button", { type: "button", "aria-label": "Step after", onclick: () => this.pick(this.picked + 1) }, "→"))),
       this.pair = h("div", { class: "pair" }, this.stepFacts));
-    this.hint = h("p", { class: "soft small" }, "Click on a step of the mentor's path to see what is known of it.");
+    this.hint = h("p", { class: "soft small" }, "Click on a step of the mentor's path to see the findings about it.");
     this.none = h("p", { class: "empty" }, "The map comes with the first moment of the run.");
     this.body = h("div", { class: "map hidden" },
       h("div", { class: "stack" }, this.stage, h("div", { class: "time" }, this.slider, this.live, this.when), this.step),
