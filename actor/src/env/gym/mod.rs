@@ -68,7 +68,8 @@ impl Kind for Gym {
 
     fn adopt(typed: &mut Settings, own: &Settings) {
         typed.found.clone_from(&own.found);
-        if typed.python.is_none() || own.python.is_none() {
+        // The run has the whole path of what was found under a bare name.
+        if typed.python.as_ref().is_none_or(|python| !python.contains('/')) {
             typed.python.clone_from(&own.python);
         }
     }

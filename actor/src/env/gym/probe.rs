@@ -18,6 +18,8 @@ use std::time::Duration;
 const SUBCOMMAND: &str = "gym-probe";
 /// Largest answer that is read, bytes.
 const MAX_ANSWER: u64 = 8 << 20;
+/// How long the last words of a process that has ended are waited for.
+const LAST_WORDS: Duration = Duration::from_secs(1);
 /// Bytes of the end of what the process says that a message shows.
 const MAX_SAID: usize = 1500;
 
@@ -74,7 +76,7 @@ fn put(trestle: &[String], mut question: serde_json::Value, settings: &Settings)
         .process_group(0)
         .spawn()
         .map_err(|error| GymError::Start { program: program.clone(), error })?;
-    let said = listen(&mut child);
+    let (said, heard) = listen(&mut child);
     let answer = ask(&mut child, &question.to_string(), Duration::from_secs(settings.probe_s));
     // With all that it has started. It has not been waited for, so its id is still its own.
     let group = nix::unistd::Pid::from_raw(child.id() as i32);
@@ -83,6 +85,8 @@ fn put(trestle: &[String], mut question: serde_json::Value, settings: &Settings)
         let _ = nix::sys::signal::killpg(group, nix::sys::signal::Signal::SIGKILL);
     }
     let status = child.wait();
+    // Its last words may still be on their way; what it has left behind may keep the line open.
+    let _ = heard.recv_timeout(LAST_WORDS);
     let tail = || {
         let said = said.lock().map_or_else(|_| Vec::new(), |said| said.iter().copied().collect());
         let said = String::from_utf8_lossy(&said).trim().to_string();
@@ -108,9 +112,10 @@ fn put(trestle: &[String], mut question: serde_json::Value, settings: &Settings)
     }
 }
 
-/// Keeps the end of what `child` says.
-fn listen(child: &mut Child) -> Said {
+/// Keeps the end of what `child` says, and tells when it has said all.
+fn listen(child: &mut Child) -> (Said, mpsc::Receiver<()>) {
     let said = Said::default();
+    let (ended, heard) = mpsc::channel();
     if let Some(mut stderr) = child.stderr.take() {
         let said = said.clone();
         thread::spawn(move || {
@@ -121,9 +126,10 @@ fn listen(child: &mut Child) -> Said {
                 let excess = said.len().saturating_sub(MAX_SAID);
                 said.drain(..excess);
             }
+            let _ = ended.send(());
         });
     }
-    said
+    (said, heard)
 }
 
 /// Puts `question` to `child`; none if it ends without an answer.
