@@ -77,7 +77,7 @@ fn mistakes_are_refused_before_anything_starts() {
         start(&place.training("no", &[&["point-umaze"], &sets[..]].concat())).finish().refused(words);
         assert!(!place.run("no").root().exists());
     };
-    refused(&["env.step_limit=120"], &["eval.threshold = -0.12", "above -0.120"]);
+    refused(&["env.step_limit=120", "eval.threshold=-0.12"], &["eval.threshold = -0.12", "above -0.120"]);
     refused(&["env.encoding=one-hot"], &["env.encoding = one-hot", "coordinates"]);
     refused(&["env.actions=irregular"], &["env.actions = irregular", "orthogonal, diagonal"]);
     refused(&["env.frame_skip=0"], &["env.frame_skip = 0", "1 to 100"]);

@@ -26,7 +26,7 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
                 outln!("  best return    {best:.2}");
             }
             if let Some(threshold) = resolved.config.eval.threshold.or(resolved.spec.threshold) {
-                outln!("  threshold      {threshold:.2}");
+                outln!("  threshold      {threshold:.3}");
             }
             if let Some(mentors) = &resolved.mentors {
                 outln!("  demonstration  {} transitions", mentors.all.n_transitions());
