@@ -14,13 +14,14 @@ fn a_shown_configuration_trains_to_the_same_weights() {
     let shown = trestle(&[&["config", "show", "maze-small"], &sets[..]].concat()).ok();
     assert_eq!(shown.stderr, "");
     let file = place.write("mine.toml", &shown.stdout);
-    let typed = place.train("typed", &[&["maze-small"], &sets[..], &LENGTH].concat());
-    let from_file = place.train("file", &[&[file.as_str()], &LENGTH[..]].concat());
+    let algo = ["--algo", "trestle"];
+    let typed = place.train("typed", &[&["maze-small"], &algo[..], &sets, &LENGTH].concat());
+    let from_file = place.train("file", &[&[file.as_str()], &algo[..], &LENGTH].concat());
     assert_eq!(from_file, typed);
 
     // So does what the run itself has kept, without any argument.
     let kept = place.run("typed").config().display().to_string();
-    assert_eq!(place.train("kept", &[&kept]), typed);
+    assert_eq!(place.train("kept", &[&[kept.as_str()], &algo[..]].concat()), typed);
     assert_eq!(trestle(&["config", "show", &file]).ok().stdout, shown.stdout);
 }
 

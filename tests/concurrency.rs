@@ -12,7 +12,7 @@ use trestle_link::iceoryx::{Domain, QueryClient};
 use trestle_proto::rundir::RunDir;
 
 fn args(seed: &str) -> Vec<&str> {
-    vec!["maze-small", "--env-steps", "6000", "--seed", seed]
+    vec!["maze-small", "--algo", "ha-diiqn", "--env-steps", "6000", "--seed", seed]
 }
 
 fn at_once(seeds: &[&str]) {

@@ -138,8 +138,7 @@ fn settings_are_listed_and_found() {
 fn help_names_presets_defaults_and_choices() {
     let _place = Place::new();
     let help = trestle(&["train", "--help"]).ok().stdout;
-    for words in
-        ["maze-small    A 12 x 12 maze", "[run.seed, default 0]", "dqn:", "Deep Q-network, no mentor"]
+    for words in ["maze-small   A 12 x 12 maze", "[run.seed, default 0]", "dqn:", "Deep Q-network, no mentor"]
     {
         assert!(help.contains(words), "{words}: {help}");
     }

@@ -132,7 +132,7 @@ fn flags() {
     refused(
         &place,
         &["eval", "never", "--checkpoint", "lats"],
-        &["last, or the tick", "did you mean `last`?"],
+        &["last, best, or the tick", "did you mean `last`?"],
     );
     refused(&place, &["train", "maze-small", "--episodes", "0"], &["run.episodes = 0", "1 or more"]);
     refused(&place, &["train"], &["PRESET|CONFIG.TOML"]);
@@ -189,8 +189,8 @@ fn demonstrations() {
 #[test]
 fn directories() {
     let place = Place::new();
-    let train = ["maze-small", "--seed", "1"];
-    let short = ["maze-small", "--seed", "1", "--env-steps", "2000"];
+    let train = ["maze-small", "--algo", "dqn", "--seed", "1"];
+    let short = [&train[..], &["--env-steps", "2000"]].concat();
     let out = |name: &str| ["--out".to_string(), place.path(name)];
     let refused_in = |name: &str, more: &[&str], words: &[&str]| {
         let out = out(name);

@@ -77,6 +77,8 @@ fn a_mentor_without_effect_is_told_of() {
     let place = Place::new();
     let sets = [
         "--set",
+        "run.algo=ha-diiqn",
+        "--set",
         "mentor.e_th=1e-12",
         "--set",
         "mentor.e_infeas=1e-12",
@@ -86,7 +88,7 @@ fn a_mentor_without_effect_is_told_of() {
     let checked = trestle(&[&["config", "check", "point-umaze"], &sets[..]].concat()).ok();
     assert!(checked.stdout.contains("mentor.e_th = 0.000000000001 is next to nothing"), "{checked:?}");
     let out = place.path("runs/none");
-    let length = ["--algo", "ha-diiqn", "--env-steps", "3000", "--out", &out];
+    let length = ["--env-steps", "3000", "--out", &out];
     let trained = trestle(&[&["train", "point-umaze", "--quiet"], &sets[..], &length].concat()).ok();
     assert!(trained.stderr.contains("warning: mentor.e_infeas = 0.000000000001 is"), "{trained:?}");
     let said = "the mentor had next to no effect (0.0 % of its transitions feasible, 0.0 % bridged, its loss in 0.0 %";
@@ -104,8 +106,10 @@ fn a_mentor_without_effect_is_told_of() {
     assert_eq!(json["arms"][0]["mentor"]["loss_frac"], 0.0);
 
     // One that has an effect is no reason for a warning, and without one there is nothing to say.
-    let trained =
-        trestle(&[&["train", "maze-small", "--out", &place.path("some")], &ARGS[1..5]].concat()).ok();
+    let trained = trestle(
+        &[&["train", "maze-small", "--algo", "ha-diiqn", "--out", &place.path("some")], &ARGS[1..5]].concat(),
+    )
+    .ok();
     assert!(trained.stdout.contains("  mentor   ") && !trained.stdout.contains("no effect"), "{trained:?}");
     place.train("dqn", &["maze-small", "--algo", "dqn", "--env-steps", "1000"]);
     assert_eq!(result(&place.run("dqn")).mentor_loss_frac, None);

@@ -45,12 +45,13 @@ fn thresholds_come_from_the_mentors_own_steps() {
 #[test]
 fn thresholds_too_large_are_warned_of() {
     let place = Place::new();
-    let sets = ["--set", "mentor.e_th=0.5", "--set", "mentor.e_infeas=0.75"];
+    let sets =
+        ["run.algo=ha-diiqn", "mentor.e_th=0.5", "mentor.e_infeas=0.75"].map(|set| ["--set", set]).concat();
     let args = [&["config", "check", "maze-small"], &sets[..]].concat();
     let checked = trestle(&args).ok();
     assert!(checked.stdout.contains("mentor.e_th = 0.5 swallows 1 mentor steps"), "{checked:?}");
     assert!(checked.stdout.contains("mentor.e_infeas = 0.75 is more than the median KL"), "{checked:?}");
-    let args = [&["maze-small", "--algo", "ha-diiqn", "--env-steps", "600"], &sets[..]].concat();
+    let args = [&["maze-small", "--env-steps", "600"], &sets[..]].concat();
     let args = place.training("run", &args);
     let trained = trestle(&args.iter().map(String::as_str).collect::<Vec<_>>()).ok();
     assert!(trained.stderr.contains("swallows 1 mentor steps"), "{trained:?}");

@@ -84,10 +84,15 @@ impl Place {
         Trace::of(&dir)
     }
 
-    /// The arguments for a training in the directory `name`.
+    /// The arguments for a training in the directory `name`: by HA-DIIQN, which has all kinds of processes, unless `args`
+    /// say something else of the algorithm, and for as many episodes as fit into the steps that they name.
     pub(crate) fn training(&self, name: &str, args: &[&str]) -> Vec<String> {
-        let own = ["train".to_string(), "--quiet".into(), "--out".into(), self.path(name)];
-        own.into_iter().chain(args.iter().map(ToString::to_string)).collect()
+        let own = ["train", "--quiet", "--out", &self.path(name)].map(ToString::to_string);
+        let named = args.iter().any(|arg| arg.contains("algo"));
+        let algo: &[&str] = if named { &[] } else { &["--algo", "ha-diiqn"] };
+        let by_steps = args.contains(&"--env-steps") && !args.contains(&"--episodes");
+        let episodes: &[&str] = if by_steps { &["--episodes", "1000000000"] } else { &[] };
+        own.into_iter().chain(args.iter().chain(algo).chain(episodes).map(ToString::to_string)).collect()
     }
 }
 

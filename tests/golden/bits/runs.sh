@@ -18,6 +18,11 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work"
 
+# The settings with which the first runs were recorded, whatever the presets have become since.
+before=(--set env.encoding=coordinates --set learner.lr=5e-4 --set exploration.epsilon_decay_steps=20000)
+point_before=(--set exploration.epsilon_decay_steps=40000 --set learner.warmup=2000 --set learner.n_step=1 --set learner.tau=0.005
+    --set eval.threshold=-0.12)
+
 # Without wall_s, the fourth column.
 evals() {
     cut -d, -f1-3,5- "$1/evals.csv" | sha256sum | cut -d' ' -f1
@@ -48,7 +53,7 @@ both() {
 # The learner dies in the middle; the supervisor starts all again, and the run is prolonged afterwards.
 killed() {
     local name=killed-and-resumed
-    local args=(maze-small --algo ha-diiqn --seed 9 --actors 2 --set checkpoint.every_env_steps=2000)
+    local args=(maze-small "${before[@]}" --algo ha-diiqn --seed 9 --actors 2 --set checkpoint.every_env_steps=2000)
     "$program" train "${args[@]}" --env-steps 8000 --quiet --out "$name" >/dev/null &
     local supervisor=$! learner=
     until [[ -e "$name/last" ]]; do
@@ -63,7 +68,7 @@ killed() {
 }
 
 all() {
-    local small=(maze-small --env-steps 12000)
+    local small=(maze-small --env-steps 12000 "${before[@]}")
     local onehot=(--set env.encoding=one-hot)
     local letter=(--set mentor.inference=any --set mentor.metric=kl)
     printf 'run,weights_sha256,evals_sha256\n'
@@ -84,12 +89,12 @@ all() {
     both literal-reward "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.reward=observer
     run shaping "${small[@]}" --algo dqn --seed 10 --set shaping.potential=1.0
     both n-step "${small[@]}" --algo ha-diiqn --seed 10 --actors 2 --set learner.n_step=5 --set learner.replay=3000
-    both candle maze-small --env-steps 3000 --algo ha-diiqn --seed 11 --set learner.backend=candle
+    both candle maze-small "${before[@]}" --env-steps 3000 --algo ha-diiqn --seed 11 --set learner.backend=candle
     both reference "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1 --mode reference
     run hard-target "${small[@]}" --algo dqn --seed 12 --set learner.target=hard --set learner.loss=squared \
         --set learner.double=false --set learner.max_grad_norm=1.0
     both random-map "${small[@]}" --algo ha-diiqn --seed 13 --set env.map=random:5:10x10
-    local point=(point-umaze --env-steps 8000 --set env.backend=builtin)
+    local point=(point-umaze "${point_before[@]}" --env-steps 8000 --set env.backend=builtin)
     run point-dqn "${point[@]}" --algo dqn --seed 1
     both point-ha-diiqn "${point[@]}" --algo ha-diiqn --seed 2 --actors 3
     local delta=("${point[@]}" --algo ha-diiqn --seed 3 --set mentor.metric=delta)

@@ -39,7 +39,6 @@ impl Kind for Maze {
         &[
             Preset { name: "maze-small", text: include_str!("presets/maze-small.toml") },
             Preset { name: "maze30", text: include_str!("presets/maze30.toml") },
-            Preset { name: "maze30-tuned", text: include_str!("presets/maze30-tuned.toml") },
         ]
     }
 
