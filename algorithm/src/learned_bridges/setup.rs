@@ -13,9 +13,10 @@ use trestle_proto::rng::{Purpose, stream};
 use trestle_proto::space::EnvSpec;
 use trestle_qnet::{AdamConfig, Layout, PlanError, init, kernels_of, network_of};
 
-/// The radius where it is automatic, in strides: the neighbours of a cell, and those across its corners.
+/// The radius where it is automatic, in units of the environment's scales: the neighbours of a cell, and those across its
+/// corners. A mentor with longer steps does not widen it, so that no wall comes to lie within it.
 const RADIUS: f64 = 1.5;
-/// The window, likewise.
+/// The window where it is automatic, in strides.
 const WINDOW: f64 = 8.0;
 /// The lookahead, likewise.
 const LOOKAHEAD: f64 = 3.0;
@@ -67,11 +68,14 @@ pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) ->
         .ok_or_else(|| LearnedError::Still { features: features.clone() })?;
     // A slow mentor must not make the goals so near that any step passes them.
     let stride = median.max(1.0);
-    for (length, strides) in
-        [(&mut learned.radius, RADIUS), (&mut learned.window, WINDOW), (&mut learned.lookahead, LOOKAHEAD)]
-    {
+    let automatic = [
+        (&mut learned.radius, RADIUS),
+        (&mut learned.window, WINDOW * stride),
+        (&mut learned.lookahead, LOOKAHEAD * stride),
+    ];
+    for (length, automatic) in automatic {
         if *length == 0.0 {
-            *length = strides * stride;
+            *length = automatic;
         }
     }
     Ok(())
@@ -206,7 +210,7 @@ mod tests {
         // Steps of 3, 4 and 5 units and one that leads nowhere; the way between trajectories is none.
         let fast = resolved(Learned::default(), &mentor(&[&[0.0, 6.0, 6.0, 14.0], &[90.0, 80.0]])).unwrap();
         assert_eq!(fast.features, [0]);
-        assert_eq!((fast.radius, fast.window, fast.lookahead), (6.0, 32.0, 12.0));
+        assert_eq!((fast.radius, fast.window, fast.lookahead), (1.5, 32.0, 12.0));
         let slow = resolved(Learned::default(), &mentor(&[&[0.0, 0.5, 1.0]])).unwrap();
         assert_eq!((slow.radius, slow.window, slow.lookahead), (1.5, 8.0, 3.0));
         let given = Learned { radius: 0.25, features: vec![0, 1], ..Learned::default() };

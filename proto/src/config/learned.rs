@@ -21,10 +21,11 @@ settings! {
         /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: all that are
         /// neither velocities nor categories.
         features: Vec<usize> = Vec::new(), any("features of the environment, each once, in ascending order");
-        /// How near to a mentor state the observer counts as being there. 0: one and a half strides. A stride is the
-        /// mentor's median step, or one unit if that is longer.
+        /// How near to a mentor state the observer counts as being there. 0: 1.5, which in a maze is less
+        /// than the two cells between passages.
         radius: f64 = 0.0, at_least(0.0);
-        /// How far along the path, either way from the last place, the next one is looked for. 0: eight strides.
+        /// How far along the path, either way from the last place, the next one is looked for. 0: eight strides. A
+        /// stride is the mentor's median step, or one unit if that is longer.
         window: f64 = 0.0, at_least(0.0);
         /// How far ahead along the path the goal lies. 0: three strides.
         lookahead: f64 = 0.0, at_least(0.0);
