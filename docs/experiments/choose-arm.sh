@@ -9,6 +9,8 @@ exec "${TRESTLE:-target/release/trestle}" sweep maze30 --out "$out" --seeds 1..3
     --over env.map=random:101:30x30,random:102:30x30,random:103:30x30,random:104:30x30 \
     --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
     --set env.encoding=one-hot --set learner.train_every=1 \
+    --set run.algo=ha-diiqn --set learner.lr=5e-4 --set exploration.epsilon_decay_steps=200000 \
+    --set mentor.inference=any --set mentor.metric=kl \
     --arm dqn:run.algo=dqn \
     --arm conf:mentor.selection=confidence \
     --arm min:mentor.selection=min-distance \

@@ -13,7 +13,9 @@ arm() {
     threshold=$(awk "BEGIN { print -$7 / $3 }")
     echo "--arm $1:run.algo=$2,env.frame_skip=$3,env.step_limit=$((4000 / $3)),eval.threshold=$threshold,learner.gamma=$4,exploration.epsilon_decay_steps=$5,learner.train_every=$6"
 }
-common="--set run.stop_when_solved=true --set checkpoint.every_env_steps=0 --set env.backend=builtin"
+common="--set run.stop_when_solved=true --set checkpoint.every_env_steps=0 --set env.backend=builtin
+    --set run.algo=ha-diiqn --set learner.n_step=1 --set learner.warmup=2000 --set learner.tau=0.005
+    --set exploration.epsilon_decay_steps=40000 --set mentor.inference=any"
 
 # shellcheck disable=SC2046,SC2086 # Arms and settings are words.
 "$trestle" sweep point-umaze --out "$out/frame-skip-umaze" --seeds 0..3 $common \

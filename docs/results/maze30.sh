@@ -6,6 +6,8 @@ shift
 exec "${TRESTLE:-target/release/trestle}" sweep maze30 --out "$out" --seeds 0..30 \
     --set run.episodes=4500 --set run.env_steps=1000000 --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
     --set env.encoding=one-hot --set learner.train_every=1 \
+    --set run.algo=ha-diiqn --set learner.lr=5e-4 --set exploration.epsilon_decay_steps=200000 \
+    --set mentor.inference=any --set mentor.metric=kl \
     --arm dqn:run.algo=dqn \
     --arm diiqn:run.algo=diiqn,mentor.selection=min-distance \
     --arm literal:mentor.selection=min-distance,mentor.reward=observer \

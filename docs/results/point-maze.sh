@@ -7,12 +7,16 @@ out=${1:?the directory of the sweep}
 shift
 trestle=${TRESTLE:-target/release/trestle}
 mentor=$out.mentor.csv
+settings="--set learner.n_step=1 --set learner.warmup=2000 --set learner.tau=0.005 --set exploration.epsilon_decay_steps=40000
+    --set eval.threshold=-0.12 --set mentor.inference=any --set mentor.metric=kl"
 if [ ! -e "$mentor" ]; then
+    # shellcheck disable=SC2086 # Settings are words.
     "$trestle" train point-maze --algo dqn --seed 1000 --set env.actions=orthogonal --set env.backend=builtin \
-        --out "$out.mentor"
+        $settings --out "$out.mentor"
     "$trestle" demo record "$out.mentor" --episodes 1 --out "$mentor"
 fi
-exec "$trestle" sweep point-maze --out "$out" --seeds 0..30 --set env.backend=builtin --set mentor.demo="$mentor" \
+# shellcheck disable=SC2086
+exec "$trestle" sweep point-maze --out "$out" --seeds 0..30 $settings --set run.algo=ha-diiqn --set env.backend=builtin --set mentor.demo="$mentor" \
     --set mentor.e_infeas=1.0 --set run.stop_when_solved=true --set checkpoint.every_env_steps=0 \
     --arm dqn:run.algo=dqn \
     --arm diiqn:run.algo=diiqn,mentor.selection=min-distance \

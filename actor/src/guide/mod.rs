@@ -1,7 +1,7 @@
 //! Guided exploration (ours, not the paper's): an action that an exploring step takes instead of a random one.
 //!
-//! - [`known`]: the action that is known for the mentor state nearest to where the actor is;
-//! - [`learned`]: an action of a policy that leads along the mentor's path.
+//! - `known`: the action that is known for the mentor state nearest to where the actor is;
+//! - `learned`: an action of a policy that leads along the mentor's path.
 
 mod known;
 mod learned;
