@@ -40,7 +40,8 @@ fn check_documents(dir: &RunDir, args: &[&str]) {
     let text = fs::read_to_string(dir.config()).unwrap();
     let resolved = config::parse_toml("config.toml", &text).unwrap();
     let map = resolved.env.own.get("map_text").expect("the map itself is in the resolved configuration");
-    let mut expected = config::load(registry(), "maze-small", &["run.seed=7".into()]).unwrap();
+    let mut expected =
+        config::load(registry(), "maze-small", &["run.seed=7".into(), "run.algo=ha-diiqn".into()]).unwrap();
     expected.env.own.insert("map_text".into(), map.clone());
     // A cell of a maze has no velocity.
     expected.mentor.metric = config::MetricKind::Kl;

@@ -46,7 +46,7 @@ fn a_folder_is_shown_before_during_and_after_its_runs() {
     let out = place.path("runs/live");
     let run = start(&["train", "maze-small", "--seed", "3", "--quiet", "--out", &out]);
     let live = state(port, "/state/live", |state| state["state"] == "running");
-    assert_eq!((&live["facts"]["arm"], &live["facts"]["seed"]), (&"ha-diiqn".into(), &3.into()));
+    assert_eq!((&live["facts"]["arm"], &live["facts"]["seed"]), (&"trestle".into(), &3.into()));
     run.signal(Signal::SIGINT);
     run.finish();
     let over = state(port, "/state/live", |state| state["state"] == "interrupted");

@@ -1,6 +1,6 @@
 //! Own paths: how the observer itself once came to success, without the loops.
 //!
-//! When an episode succeeds, its steps are taken from the replay. A state whose place is within a third of the radius of an earlier
+//! When an episode succeeds, its steps are taken from the replay. A state whose place is within a fifteenth of the radius of an earlier
 //! one takes that one's place, and what lies between is cut out. So every pair of state and action on an own path is one that
 //! was walked; where something was cut out, the action before leads next to the state after.
 //!
@@ -143,7 +143,7 @@ impl OwnPaths {
         length: usize,
         to_end: bool,
     ) -> Option<OwnPath> {
-        let (dim, near) = (self.goal.dim(), self.radius / 3.0);
+        let (dim, near) = (self.goal.dim(), self.radius / 15.0);
         let (mut path, mut walked, mut last) = (OwnPath::default(), 0, None);
         for slot in slots {
             let transition = replay.get(slot).transition;
