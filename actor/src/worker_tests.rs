@@ -8,7 +8,8 @@ use trestle_proto::plan::MentorPart;
 use trestle_proto::waypoints::Waypoints;
 
 pub(crate) fn plan(overrides: &[&str]) -> RunPlan {
-    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let own = ["run.algo=ha-diiqn", "env.encoding=coordinates"];
+    let overrides: Vec<String> = own.iter().chain(overrides).map(ToString::to_string).collect();
     let mut config = config::load(registry(), "maze-small", &overrides).unwrap();
     registry().resolve(&mut config.env, config.run.seed).unwrap();
     let spec = registry().build(&config.env).unwrap().spec().clone();
