@@ -57,7 +57,14 @@ fn ticks(times: u64) -> Result<()> {
         "kernels for {}; accepted: avx2, as in valgrind",
         Isa::detect()
     );
-    let sets = ["run.algo=\"ha-diiqn\"", "learner.warmup=32", "learner.replay=4096"].map(String::from);
+    let sets = [
+        "run.algo=\"ha-diiqn\"",
+        "env.encoding=coordinates",
+        "learner.train_every=4",
+        "learner.warmup=32",
+        "learner.replay=4096",
+    ]
+    .map(String::from);
     let mut config = config::load(registry(), "maze30", &sets)?;
     registry().resolve(&mut config.env, config.run.seed)?;
     let spec = registry().build(&config.env)?.spec().clone();

@@ -34,10 +34,12 @@ pub(super) fn trestle() -> Result<PathBuf> {
     Ok(program)
 }
 
-/// The command by which `program` trains on maze30 in the subdirectory [`RUN`] of `dir`.
+/// The command by which `program` trains on maze30, with coordinates as input and a gradient step every fourth step, in the
+/// subdirectory [`RUN`] of `dir`.
 pub(super) fn training(program: &Path, algo: &str, mode: &str, env_steps: u64, dir: &Path) -> Command {
     let mut command = Command::new(program);
     command.args(["train", "maze30", "--algo", algo, "--mode", mode, "--seed", "1", "--quiet"]);
+    command.args(["--set", "env.encoding=coordinates", "--set", "learner.train_every=4"]);
     command.args(["--episodes", "1000000000", "--env-steps", &env_steps.to_string(), "--out"]);
     command.arg(dir.join(RUN)).stdin(Stdio::null()).stdout(Stdio::null());
     command
