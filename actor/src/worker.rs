@@ -373,8 +373,9 @@ impl Worker {
         Ok(())
     }
 
-    /// Plays `episodes` greedy episodes with the flat parameters `weights`, in an environment of their own. Their resets draw from a stream that depends on the run's seed and `evaluation`, its number from 0, alone; the
-    /// collecting side of the actor is untouched.
+    /// Plays `episodes` greedy episodes with the flat parameters `weights`, in an environment of their own. Their resets draw
+    /// from a stream that depends on the run's seed and `evaluation`, its number from 0, alone. The collecting side of the actor
+    /// is untouched.
     ///
     /// The paths of the first episodes are returned, as many as fit into a reply; those of the others are empty.
     ///

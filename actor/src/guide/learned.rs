@@ -133,7 +133,7 @@ impl Learned {
         Some(draw(&self.outputs, unit(rng)) as u32)
     }
 
-    /// A tracker at the beginning of an episode that is guided, of whoever follows π alone.
+    /// A tracker at the beginning of a guided episode, for an agent that follows π alone.
     pub fn fresh(&self) -> Tracker {
         let mut tracker = Tracker::default();
         tracker.begin(&self.route.pace, 0.0);

@@ -5,8 +5,8 @@
 //! was walked; where something was cut out, the action before leads next to the state after.
 //!
 //! One path covers another if it passes within the radius of the other's beginning and needs no more steps from there. A new path
-//! is kept unless one that is kept covers it. It takes the place of those that it covers itself, and that of the oldest where
-//! there are as many as may be.
+//! is dropped if a kept path covers it. Else it displaces the paths that it covers itself, and the oldest path where the set is
+//! full.
 
 use super::goal::Goal;
 use super::path::distance;
@@ -143,30 +143,24 @@ impl OwnPaths {
         length: usize,
         to_end: bool,
     ) -> Option<OwnPath> {
-        let (dim, near) = (self.goal.dim(), self.radius / 15.0);
-        let (mut path, mut walked, mut last) = (OwnPath::default(), 0, None);
-        for slot in slots {
+        let near = self.radius / 15.0;
+        let mut path = OwnPath::default();
+        for (before, slot) in slots.enumerate() {
             let transition = replay.get(slot).transition;
             self.visit(&mut path, transition.obs, near);
             path.states.extend_from_slice(transition.obs);
             path.actions.push(transition.action);
-            walked += 1;
-            last = Some(slot);
-            if to_end && self.is_end(transition.next_obs) {
-                walked = length;
-                break;
-            }
             // One more place is still to come.
             if path.actions.len() >= self.room.places {
                 return None;
             }
+            let arrived = if to_end { self.is_end(transition.next_obs) } else { before + 1 == length };
+            if arrived {
+                self.goal.place(transition.next_obs, &mut path.places);
+                return Some(path);
+            }
         }
-        let arrived = last.filter(|&slot| !to_end || self.is_end(replay.get(slot).transition.next_obs));
-        let end = arrived.filter(|_| walked == length)?;
-        self.place.clear();
-        self.goal.place(replay.get(end).transition.next_obs, &mut self.place);
-        path.places.extend_from_slice(&self.place);
-        (path.places.len() <= self.room.places * dim).then_some(path)
+        None
     }
 
     /// Goes on along `path` to `state`, which is none of its states yet: back to an earlier place if that is `near`.

@@ -47,7 +47,7 @@ pub enum LearnedError {
     },
 }
 
-/// Puts features and lengths in the place of those that are automatic.
+/// Puts numbers in the place of automatic features and lengths.
 ///
 /// # Errors
 /// Features that are not the environment's, or in which the mentor stays where it is.
