@@ -1,11 +1,12 @@
 //! Runs as other versions of the program have left them, for the commands that only look at them.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use std::cmp::Ordering;
-use std::fs;
 use trestle_actor::env::registry;
 use trestle_proto::config;
+use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::plan::RunPlan;
+use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 
 /// The plan of the run in `dir`. Where an earlier version of the program wrote it, its configuration stands in, without the mentor,
@@ -19,7 +20,7 @@ pub(crate) fn read_plan(dir: &RunDir) -> Result<RunPlan> {
         plan => return Ok(plan?),
     }
     let path = dir.config();
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = regular_file::read_to_string(&path, MAX_TEXT_BYTES)?;
     let mut config = config::parse_toml(&path.display().to_string(), &text)?;
     (config.exploration.guide_start, config.exploration.guide_end) = (0.0, 0.0);
     let spec = registry().build(&config.env)?.spec().clone();

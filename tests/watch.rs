@@ -104,6 +104,11 @@ fn an_evaluation_becomes_a_picture_and_the_best_weights_are_kept() {
         assert!(printed.stdout.contains(&format!("picture: {file}")), "{printed:?}");
         assert!(fs::read(&file).unwrap().starts_with(begins), "{name}");
     }
+    // Episodes of another seed are drawn over the same mentor.
+    let seeded = place.path("e.svg");
+    trestle(&["eval", &root, "--checkpoint", "best", "--seed", "8", "--picture", &seeded]).ok();
+    let [plain, seeded] = [place.path("c.svg"), seeded].map(|file| fs::read_to_string(file).unwrap());
+    assert!(plain.contains("mentor") && seeded.contains("mentor"), "{seeded}");
     let again = place.path("a.gif");
     trestle(&["eval", &root, "--picture", &again]).refused(&["a.gif exists", "--overwrite"]);
     trestle(&["eval", &root, "--picture", &again, "--overwrite"]).ok();

@@ -1,7 +1,7 @@
 //! The ε-greedy policy: from a flat parameter vector and one observation to an action.
 
 use rand::RngCore;
-use trestle_proto::rng::Stream;
+use trestle_proto::rng::{Stream, below};
 use trestle_qnet::{Encoding, Kernels, Layout, Workspace, argmax, forward};
 
 /// The policy's network and scratch memory. The parameters are the caller's, so that new weights need no copy here.
@@ -79,7 +79,7 @@ impl Policy {
         {
             return action;
         }
-        ((u64::from(rng.next_u32()) * self.layout.output() as u64) >> 32) as u32
+        below(rng, self.layout.output()) as u32
     }
 }
 

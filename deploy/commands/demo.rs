@@ -48,7 +48,7 @@ fn plan(args: &Plan) -> Result<()> {
 
 /// Refuses to write where something is, unless that was asked for.
 pub(super) fn free(out: &Path, overwrite: bool) -> Result<()> {
-    ensure!(overwrite || !out.exists(), "{} exists; accepted: another --out, or --overwrite", out.display());
+    ensure!(overwrite || !out.exists(), "{} exists; accepted: another file, or --overwrite", out.display());
     Ok(())
 }
 

@@ -48,13 +48,14 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         ));
     }
     let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
-    let mut plan = read_plan(&dir)?;
+    let plan = read_plan(&dir)?;
     program::hand_over(&plan.config.env)?;
     let (layout, _) = trestle_qnet::network_of(&plan)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
-    // The map and the network are made; of what is left only random streams go by the seed.
-    plan.config.run.seed = args.seed.unwrap_or(plan.config.run.seed);
-    let mut worker = Worker::new(&plan, 0)?;
+    // The map and the network are made: only the random streams of the evaluation go by the seed from here on.
+    let mut played = plan.clone();
+    played.config.run.seed = args.seed.unwrap_or(plan.config.run.seed);
+    let mut worker = Worker::new(&played, 0)?;
     // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
     let evaluation = worker.evaluate(&weights, u64::MAX, args.episodes)?;
 

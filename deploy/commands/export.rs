@@ -1,21 +1,18 @@
 //! `trestle export`
 
+use super::demo::free;
 use super::eval::{Chosen, choose};
 use crate::cli::{Export, Format};
 use crate::export::{Network, file, model};
 use crate::status::ExitCode;
 use crate::stored::read_plan;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use std::io::Write;
 use trestle_actor::env::registry;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
 pub(super) fn run(args: &Export) -> Result<ExitCode> {
-    ensure!(
-        args.overwrite || !args.out.exists(),
-        "{} exists; accepted: another file, or --overwrite",
-        args.out.display()
-    );
+    free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
     let plan = read_plan(&dir)?;
     let (layout, encoding) = trestle_qnet::network_of(&plan)?;

@@ -1,5 +1,6 @@
 //! An evaluation as a picture or a film.
 
+use super::demo::free;
 use super::report::{mentor_steps, squares};
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
@@ -27,7 +28,7 @@ pub(super) fn kind(path: &Path, overwrite: bool) -> Result<&'static str> {
     let Some(kind) = KINDS.into_iter().find(|kind| *kind == end) else {
         bail!("--picture {}; accepted: a name that ends in .{}", path.display(), KINDS.join(", ."));
     };
-    ensure!(overwrite || !path.exists(), "{} exists; accepted: another file, or --overwrite", path.display());
+    free(path, overwrite)?;
     Ok(kind)
 }
 

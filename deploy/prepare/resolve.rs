@@ -148,7 +148,6 @@ fn meet(mut config: Config) -> Result<Resolved> {
     registry().ready(&config.env)?;
     let env = registry().build(&config.env)?;
     let spec = env.spec().clone();
-    spec.validate()?;
     config.mentor.metric = config.mentor.metric.of(&spec);
     let mentors = if config.needs_demonstration() {
         let mentors = mentors(&config, env.as_ref())?;

@@ -4,11 +4,10 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
 use trestle_proto::config::Algo;
+use trestle_suite::set::{MAX_NAME, is_plain};
 
 /// Arms of a sweep, at most.
 pub(crate) const MAX_ARMS: usize = 8192;
-/// Letters of a name, at most: it becomes a directory.
-const MAX_NAME: usize = 64;
 
 /// One arm: a name, and what it sets on top of the sweep's configuration.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,8 +46,7 @@ impl FromStr for Arm {
     /// `NAME:key=value,key=value`. Commas within brackets or quotes belong to the value.
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, rest) = text.split_once(':').ok_or("no colon; accepted: NAME:key=value,key=value")?;
-        let letter = |c: char| c.is_ascii_alphanumeric() || "-_.@+".contains(c);
-        if name.is_empty() || name.len() > MAX_NAME || name.starts_with('.') || !name.chars().all(letter) {
+        if !is_plain(name) {
             return Err(format!(
                 "the name {name:?}; accepted: 1 to {MAX_NAME} of the letters a-z, A-Z, 0-9 and -_.@+, no dot first"
             ));

@@ -284,9 +284,7 @@ fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
 
 /// The configuration of a run that is there already, which must be what it would be now.
 fn existing(job: &Job) -> Result<Resolved> {
-    let mut typed = job.config.clone();
-    registry().resolve(&mut typed.env, typed.run.seed)?;
-    resolve_run(&job.dir, &typed)
+    resolve_run(&job.dir, &job.config)
 }
 
 async fn train(job: &Job, display: &Display) -> Outcome {

@@ -3,7 +3,7 @@
 //! ChaCha8 is keyed directly with (seed, purpose, index), so two streams never overlap and no process needs to
 //! know what another has drawn. A stream's whole state is serialisable and goes into checkpoints.
 
-use rand::SeedableRng;
+use rand::{RngCore, SeedableRng};
 pub use rand_chacha::ChaCha8Rng as Stream;
 
 /// What a random stream is for. The numbers are part of the format of reproducible runs: never reuse one.
@@ -44,6 +44,12 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Stream {
     key[16..24].copy_from_slice(&index.to_le_bytes());
     key[24..32].copy_from_slice(b"trestle1");
     Stream::from_seed(key)
+}
+
+/// A number in `0..n` from one word of `rng`: uniform to within 2^-32 for `n` up to 2^32, which must not be 0.
+pub fn below(rng: &mut Stream, n: usize) -> usize {
+    debug_assert!(n > 0);
+    ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
 }
 
 /// A choice among `n` candidates that depends on the seed, the purpose and `index` alone, so that it needs no

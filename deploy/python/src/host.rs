@@ -33,6 +33,14 @@ struct Env {
 fn make(settings: &Settings, found: &Found) -> Result<Box<dyn Simulator>, GymError> {
     let name = found.name.clone();
     let space = Space::parse(&found.space).map_err(GymError::Found)?;
+    let (features, actions) = (&found.features, &found.actions);
+    let fits = features.places.len() == features.range.len()
+        && features.places.iter().all(|&place| place < space.len())
+        && actions.values.len() == actions.names.len();
+    if !fits {
+        let what = "lists that do not fit the space; accepted: what a run has found";
+        return Err(GymError::Found(what.into()));
+    }
     let settings = serde_json::to_string(settings).map_err(|error| GymError::Found(error.to_string()))?;
     let found_json = found.to_json()?;
     let made = Python::attach(|py| -> PyResult<Env> {

@@ -59,7 +59,7 @@ pub struct Maze {
 /// Left of the map on its picture, and the width of the legend beside it.
 const LEFT: i32 = 16;
 const LEGEND: i32 = 216;
-/// Height of what is below the map on a page.
+/// Height of the legend below the map on a page.
 const BELOW: i32 = 120;
 
 /// How a picture is laid out: pixels of the map's longer side, about, where it begins, and the size of letters.
@@ -304,7 +304,7 @@ impl Picture<'_, '_> {
         Ok(())
     }
 
-    /// Left and top of what is beside the map, or below it.
+    /// Left and top of the legend beside the map, or below it.
     fn beside(&self) -> (i32, i32) {
         let [width, height] = self.maze.size.map(|n| n as i32 * self.side);
         match self.view {

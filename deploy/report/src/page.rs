@@ -28,7 +28,7 @@ pub(crate) enum Part {
 pub(crate) struct Figure {
     /// Its heading.
     pub(crate) title: String,
-    /// The meaning of what is drawn.
+    /// The meaning of its lines and colours.
     pub(crate) note: String,
     /// The name of its files, without their ends.
     pub(crate) file: String,

@@ -1,13 +1,13 @@
 //! Mentors of tasks, good ones and bad ones. A demonstration is a function of its task.
 
-use crate::paths::{Paths, Ties, below};
+use crate::paths::{Paths, Ties};
 use crate::set::map_text;
 use trestle_actor::env::grid::{ActionSet, Cell, GridError, Map};
 use trestle_actor::env::{EnvError, registry};
 use trestle_algorithm::demonstration::{Demonstration, DemonstrationError};
 use trestle_proto::choices;
 use trestle_proto::config::{self, ConfigError};
-use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_proto::rng::{Purpose, Stream, below, stream};
 
 /// Maps that are tried to find another one whose path fits here.
 const MAX_OTHERS: u64 = 64;

@@ -1,9 +1,8 @@
 //! Paths through a map of cells.
 
-use rand::RngCore;
 use std::collections::VecDeque;
-use trestle_actor::env::grid::{ActionSet, Cell, Map};
-use trestle_proto::rng::Stream;
+use trestle_actor::env::grid::{ActionSet, Cell, Map, Search};
+use trestle_proto::rng::{Stream, below};
 
 /// Distance from walls beyond which a cell is no freer, cells.
 const CLEAR: u32 = 3;
@@ -138,22 +137,11 @@ impl<'a> Paths<'a> {
     /// is no way at all.
     pub fn detour(&self, rng: &mut Stream) -> Option<Vec<Cell>> {
         let shortest = self.moves()?;
-        let (map, start) = (self.map, self.map.start());
-        let mut from_start = vec![None; size(map)];
-        from_start[place(map, start)] = Some(0);
-        let mut open = VecDeque::from([(start, 0)]);
-        while let Some((cell, moves)) = open.pop_front() {
-            for next in self.after(cell) {
-                let known = &mut from_start[place(map, next)];
-                if known.is_none() {
-                    *known = Some(moves + 1);
-                    open.push_back((next, moves + 1));
-                }
-            }
-        }
+        let map = self.map;
+        let from_start = Search::new(map, self.set);
         let by_way = cells(map)
             .filter(|&cell| cell != map.goal())
-            .filter_map(|cell| Some((from_start[place(map, cell)]? + self.left[place(map, cell)]?, cell)));
+            .filter_map(|cell| Some((from_start.distance(cell)? + self.left[place(map, cell)]?, cell)));
         let ways: Vec<(u32, Cell)> = by_way.collect();
         let good: Vec<Cell> = ways
             .iter()
@@ -164,7 +152,7 @@ impl<'a> Paths<'a> {
             true => ways.into_iter().max()?.1,
             false => good[below(rng, good.len())],
         };
-        let mut path = self.down(start, &self.distances(way), Ties::Mixed, rng);
+        let mut path = self.down(map.start(), &self.distances(way), Ties::Mixed, rng);
         path.extend(self.down(way, &self.left, Ties::Mixed, rng).into_iter().skip(1));
         Some(path)
     }
@@ -227,17 +215,12 @@ fn cells(map: &Map) -> impl Iterator<Item = Cell> + use<> {
     (0..size(map)).map(move |i| [i % columns, i / columns])
 }
 
-/// A number in `0..n` from one word of `rng`; `n` is a number of cells, so that the bias is below 2^-21.
-pub(crate) fn below(rng: &mut Stream, n: usize) -> usize {
-    ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use proptest::prelude::*;
-    use trestle_actor::env::grid::{Generator, IRREGULAR, REGULAR, Search};
+    use trestle_actor::env::grid::{Generator, IRREGULAR, REGULAR};
     use trestle_proto::rng::{Purpose, stream};
 
     fn rng(seed: u64) -> Stream {

@@ -20,8 +20,8 @@ const FORMAT: u32 = 1;
 pub const MAX_TASKS: usize = 1000;
 /// Trajectories of a demonstration, at most.
 pub const MAX_TRAJECTORIES: u32 = 1000;
-/// Letters of a part of a task's name, at most: it becomes a directory.
-const MAX_NAME: usize = 64;
+/// Letters of a name that becomes a directory, at most.
+pub const MAX_NAME: usize = 64;
 /// Largest file of a set, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
@@ -202,12 +202,14 @@ impl TaskSet {
     }
 }
 
-fn is_name(part: &str) -> bool {
+/// Whether `name` can be that of a directory: 1 to [`MAX_NAME`] of the letters a-z, A-Z, 0-9 and -_.@+, no dot first.
+pub fn is_plain(name: &str) -> bool {
     let letter = |c: char| c.is_ascii_alphanumeric() || "-_.@+".contains(c);
-    (1..=MAX_NAME).contains(&part.len())
-        && !part.starts_with('.')
-        && part.chars().all(letter)
-        && !["report", "maps", "demonstrations"].contains(&part)
+    (1..=MAX_NAME).contains(&name.len()) && !name.starts_with('.') && name.chars().all(letter)
+}
+
+fn is_name(part: &str) -> bool {
+    is_plain(part) && !["report", "maps", "demonstrations"].contains(&part)
 }
 
 /// The text of the map called `name`, as `env.map` takes it.

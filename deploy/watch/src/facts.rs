@@ -1,9 +1,8 @@
 //! What a run says of itself before and after its training: its configuration, its plan, its result, its logs.
 
-use crate::root::{Dir, Identity};
+use crate::root::{Dir, Stamp};
 use crate::tail::last_lines;
 use serde::Serialize;
-use std::io::ErrorKind;
 use trestle_learner::record::{Goal, RunResult};
 use trestle_proto::config::{self, Config, Mode, Threshold};
 use trestle_proto::plan::RunPlan;
@@ -69,7 +68,10 @@ pub(crate) struct Facts {
 impl Facts {
     /// Reads them from the run's directory. What is missing or damaged stays empty.
     pub(crate) fn read(dir: &Dir) -> Self {
-        let mut facts = Self::brief(dir);
+        let mut facts = match configuration(dir) {
+            Ok(config) => Self::of(&config),
+            Err(fault) => Self { fault: Some(fault), ..Self::default() },
+        };
         if let Ok(plan) =
             dir.read(PLAN_FILE, MAX_PLAN).map_err(drop).and_then(|b| RunPlan::decode(&b).map_err(drop))
         {
@@ -92,14 +94,6 @@ impl Facts {
         let text = |key: &str| build[key].as_str().map(|text| shown(text, 64)).unwrap_or_default();
         (facts.version, facts.commit) = (text("version"), text("commit"));
         facts
-    }
-
-    /// Those of the configuration alone, which is quicker.
-    pub(crate) fn brief(dir: &Dir) -> Self {
-        match configuration(dir) {
-            Ok(config) => Self::of(&config),
-            Err(fault) => Self { fault: Some(fault), ..Self::default() },
-        }
     }
 
     fn of(config: &Config) -> Self {
@@ -239,14 +233,8 @@ pub(crate) fn shown(text: &str, most: usize) -> String {
 }
 
 /// When and whether a file changed: to be compared, nothing else. None: it is not there.
-pub(crate) fn stamp(dir: &Dir, name: &str) -> Option<(Identity, u64, (i64, i64))> {
-    match dir.open(name) {
-        Ok((_, stamp)) => Some((stamp.identity, stamp.len, stamp.changed)),
-        Err(error) => {
-            debug_assert!(error.kind() != ErrorKind::InvalidInput, "{error}");
-            None
-        }
-    }
+pub(crate) fn stamp(dir: &Dir, name: &str) -> Option<Stamp> {
+    dir.open(name).ok().map(|(_, stamp)| stamp)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use crate::arms::{Curve, arms};
 use crate::facts::{self, Facts};
 use crate::locks::Locks;
 use crate::records::Records;
-use crate::root::{Below, Dir, Root};
+use crate::root::{Below, Dir, Root, Stamp};
 use crate::run::{State, is_fresh, is_run, now_s, state};
 use crate::tail::last_lines;
 use serde::{Deserialize, Serialize};
@@ -53,14 +53,12 @@ struct Summary {
     seen: Option<Seen>,
 }
 
-type Stamp = Option<(crate::root::Identity, u64, (i64, i64))>;
-
 /// The files by whose change a run is known to have changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Seen {
-    config: Stamp,
-    result: Stamp,
-    evals: Stamp,
+    config: Option<Stamp>,
+    result: Option<Stamp>,
+    evals: Option<Stamp>,
     locked: bool,
 }
 
@@ -185,9 +183,9 @@ impl FolderPage {
     }
 
     fn page(&self, root: &Root, dir: &Dir) -> String {
-        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut counts: BTreeMap<State, usize> = BTreeMap::new();
         for summary in self.runs.values() {
-            *counts.entry(word(summary.state)).or_default() += 1;
+            *counts.entry(summary.state).or_default() += 1;
         }
         let solved = self.runs.values().filter(|summary| summary.solved().is_some()).count();
         let manifest = dir
@@ -197,7 +195,7 @@ impl FolderPage {
         let planned = manifest.as_ref().map(|sweep| sweep.arms.len().saturating_mul(sweep.seeds.len()));
         let mut rows: Vec<(&Below, &Summary)> = self.runs.iter().collect();
         if rows.len() > MAX_ROWS {
-            // What goes on or went wrong is what is looked for.
+            // Runs that go on or went wrong are looked for first.
             rows.sort_by_key(|(below, summary)| (rank(summary.state), *below));
             rows.truncate(MAX_ROWS);
             rows.sort_by_key(|(below, _)| *below);
@@ -288,17 +286,6 @@ fn rank(state: State) -> u8 {
         State::Running | State::Starting => 1,
         State::Interrupted => 2,
         State::Finished | State::Nothing => 3,
-    }
-}
-
-fn word(state: State) -> &'static str {
-    match state {
-        State::Nothing => "nothing",
-        State::Starting => "starting",
-        State::Running => "running",
-        State::Finished => "finished",
-        State::Interrupted => "interrupted",
-        State::Failed => "failed",
     }
 }
 

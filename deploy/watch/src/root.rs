@@ -184,7 +184,7 @@ impl Dir {
         Ok(bytes)
     }
 
-    /// Names of what is in it and no link, each with whether it is a directory; ordered, hidden ones left out. The second part
+    /// Names of the files and directories in it, each with whether it is a directory; ordered, hidden ones left out. The second part
     /// of the answer says that there are more than can be looked at.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 use crate::facts::{self, Event, Facts, Log};
 use crate::locks::Locks;
 use crate::records::Records;
-use crate::root::{Below, Dir, Root};
+use crate::root::{Below, Dir, Root, Stamp};
 use crate::timeline::{Extent, Timeline};
 use serde::Serialize;
 use serde_json::json;
@@ -29,7 +29,7 @@ const MAX_INCARNATIONS: usize = 64;
 const PACE_ROWS: usize = 30;
 
 /// How a run stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum State {
     /// There is no run.
@@ -69,13 +69,11 @@ pub(crate) fn is_fresh(dir: &Dir, files: &[&str], now: i64) -> bool {
     files.iter().filter_map(changed).max().is_some_and(|changed| (now - changed).abs() < STALE_S)
 }
 
-type Stamps = [Option<(crate::root::Identity, u64, (i64, i64))>; 2];
-
 /// What is known of one run, and kept up to date.
 #[derive(Debug)]
 pub(crate) struct RunPage {
     below: Below,
-    stamps: Stamps,
+    stamps: [Option<Stamp>; 2],
     facts: Facts,
     records: Records,
     timeline: Timeline,

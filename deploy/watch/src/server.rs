@@ -29,7 +29,7 @@ use tokio::time::sleep;
 
 /// Pages that are kept up to date at once, at most.
 pub(crate) const MAX_STREAMS: usize = 128;
-/// Time between two states of a page.
+/// Pause between the end of one look and the next; longer than `pages::LOOK_EVERY`, so that each look finds something new.
 const EVERY: Duration = Duration::from_secs(1);
 
 const PAGE: &str = include_str!("../page/index.html");

@@ -1,12 +1,13 @@
 //! Reading a file of lines that grows, a piece at a time.
 //!
-//! Only whole lines are handed on: the last one may still be torn. Lines beyond [`MAX_LINE`] are passed over. A file that is
+//! Only whole lines are handed on: the last one may still be torn. Lines that are longer than the
+//! sink takes are passed over. A file that is
 //! another one, is shorter, or has other bytes where this reader stopped, as after `trestle resume`, is read anew.
 
 use crate::root::{Dir, Identity, Stamp};
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Longest line that is looked at, bytes.
+/// Longest line that a sink takes unless it says otherwise, bytes.
 pub(crate) const MAX_LINE: usize = 1 << 16;
 /// Bytes before the place where reading stopped that must still be the same.
 const MARK: usize = 64;
@@ -36,8 +37,10 @@ pub(crate) struct Looked {
     pub(crate) anew: bool,
 }
 
-/// What takes the lines.
+/// The receiver of the lines.
 pub(crate) trait Sink {
+    /// Longest line that it takes, bytes.
+    const LONGEST: usize = MAX_LINE;
     /// The file is read anew.
     fn restart(&mut self);
     /// One line, without its end.
@@ -59,12 +62,12 @@ impl Tail {
     ///
     /// # Errors
     /// What the system says of a file that is there.
-    pub(crate) fn look(
+    pub(crate) fn look<S: Sink>(
         &mut self,
         dir: &Dir,
         name: &str,
         budget: usize,
-        sink: &mut impl Sink,
+        sink: &mut S,
     ) -> io::Result<Looked> {
         let (mut file, stamp) = match dir.open(name) {
             Ok(opened) => opened,
@@ -99,7 +102,7 @@ impl Tail {
             let mut search = before;
             while let Some(at) = buffer[search..].iter().position(|&byte| byte == b'\n') {
                 let end = search + at;
-                if !self.skipping && end - start <= MAX_LINE {
+                if !self.skipping && end - start <= S::LONGEST {
                     sink.line(buffer[start..end].strip_suffix(b"\r").unwrap_or(&buffer[start..end]));
                     looked.lines += 1;
                 }
@@ -107,7 +110,7 @@ impl Tail {
                 start = end + 1;
                 search = start;
             }
-            if buffer.len() - start > MAX_LINE {
+            if buffer.len() - start > S::LONGEST {
                 self.skipping = true;
             }
             if self.skipping {

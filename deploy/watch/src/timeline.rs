@@ -37,6 +37,9 @@ struct Count {
 }
 
 impl Sink for Count {
+    // As `answer` reads them, with their ends.
+    const LONGEST: usize = MAX_LINE - 1;
+
     fn restart(&mut self) {
         self.editions += 1;
         self.lines = 0;
@@ -123,5 +126,25 @@ mod tests {
         fs::write(&path, "{\"v\":1}\n").unwrap();
         let anew = timeline.look(&dir).unwrap();
         assert!(anew.edition != extent.edition && anew.lines == 1);
+    }
+
+    #[test]
+    fn a_moment_of_a_large_map_is_counted_as_long_as_it_is_answered() {
+        let place = tempfile::tempdir().unwrap();
+        let dir = Root::new(place.path()).unwrap().dir(&Below::default()).unwrap();
+        let path = place.path().join(TIMELINE_FILE);
+        let mut timeline = Timeline::default();
+        let line = |length: usize| format!("\"{}\"\n", "x".repeat(length - 2));
+        for (length, counted) in [(MAX_LINE - 1, 2), (MAX_LINE, 1)] {
+            fs::write(&path, format!("{{}}\n{}", line(length))).unwrap();
+            // A look has a budget: as many as it takes.
+            let mut extent = timeline.look(&dir).unwrap();
+            for _ in 0..8 {
+                extent = timeline.look(&dir).unwrap();
+            }
+            assert_eq!(extent.lines, counted, "{length}");
+            let answered = answer(&dir, &extent, 0).unwrap();
+            assert_eq!(answered.contains("xxx"), counted == 2, "{length}");
+        }
     }
 }

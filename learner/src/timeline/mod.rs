@@ -49,6 +49,8 @@ pub(crate) struct Timeline {
     way: Option<Way>,
     /// The places, or states, of the newest evaluation's first episode.
     path_taken: Vec<f64>,
+    /// Whether a moment has told of it.
+    told: bool,
     /// Environment steps and lines of the moments that are kept.
     kept: VecDeque<u64>,
     /// Pause between moments.
@@ -59,7 +61,7 @@ pub(crate) struct Timeline {
 }
 
 impl Timeline {
-    /// For a run from its beginning, in the place of what is there.
+    /// For a run from its beginning, in the place of a former file.
     pub(crate) fn create(plan: &RunPlan, dir: &RunDir, mentor: Option<&MentorTransitions>) -> Self {
         let mut timeline = Self::new(plan, dir, mentor);
         let begun = own_file::create(&timeline.path)
@@ -115,6 +117,7 @@ impl Timeline {
             squares,
             way: if mentor.is_none() { Way::new(plan, stride(steps(plan).count())) } else { None },
             path_taken: Vec::new(),
+            told: true,
             kept: VecDeque::new(),
             every: EVERY,
             due: Instant::now(),
@@ -130,12 +133,13 @@ impl Timeline {
     /// The states of an evaluation's first episode, one after the other.
     pub(crate) fn evaluation(&mut self, path: &[f32]) {
         self.path_taken = self.head.points(path);
+        self.told = false;
     }
 
     /// Adds the moment that `agent` is in after `wall_s` seconds.
     pub(crate) fn add(&mut self, agent: &Agent, wall_s: f64) {
         let start = Instant::now();
-        if self.broken || self.kept.back() == Some(&agent.counters().env_steps) {
+        if self.broken || (self.told && self.kept.back() == Some(&agent.counters().env_steps)) {
             return;
         }
         let squares = self.squares.as_mut().map(|squares| squares.look(agent));
@@ -145,6 +149,7 @@ impl Timeline {
         }
         let written = self.write(&moment);
         self.note(written);
+        self.told = true;
         self.due = Instant::now() + self.every.max(start.elapsed() * REST);
     }
 
@@ -166,10 +171,10 @@ impl Timeline {
     }
 
     /// Puts the head and these moments in the place of the file.
-    fn write_all<'a>(&self, moments: impl Iterator<Item = &'a str>) -> io::Result<()> {
+    fn write_all<'a>(&self, mut moments: impl Iterator<Item = &'a str>) -> io::Result<()> {
         write_atomically(&self.path, Durable::Later, |file| {
             file.write_all(self.head.line().as_bytes())?;
-            moments.into_iter().try_for_each(|line| writeln!(file, "{line}"))
+            moments.try_for_each(|line| writeln!(file, "{line}"))
         })
     }
 

@@ -24,6 +24,7 @@ pub use settings::{Kwargs, Picks, Settings};
 use super::{EnvError, Foreign, Kind};
 use host::host;
 use trestle_proto::config::{self, Config, ConfigError, Table, refuse};
+use trestle_proto::limits::MAX_ACTIONS;
 
 /// Begins the short form of a configuration: `gym:CartPole-v1`. Alone it is a base for configuration files.
 const NAME: &str = "gym";
@@ -79,8 +80,8 @@ impl Kind for Gym {
         if let Some(scale) = scale {
             return Err(refuse("env.gym.scale", scale, "a number above 0 for each feature"));
         }
-        if let Some(bins) = settings.bins.iter().find(|bins| !(2..=1024).contains(*bins)) {
-            return Err(refuse("env.gym.bins", bins, "numbers from 2 to 1024"));
+        if let Some(bins) = settings.bins.iter().find(|bins| !(2..=MAX_ACTIONS).contains(*bins)) {
+            return Err(refuse("env.gym.bins", bins, &format!("numbers from 2 to {MAX_ACTIONS}")));
         }
         Ok(())
     }
@@ -138,6 +139,6 @@ fn python(settings: &Settings) -> Vec<String> {
     match &settings.python {
         Some(python) => [python, "-m", "trestle"].map(String::from).to_vec(),
         // The program itself.
-        None => super::again().to_vec(),
+        None => super::again(),
     }
 }

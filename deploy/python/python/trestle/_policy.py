@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _trestle
+from . import _gym, _trestle
 from ._run import Run
 from ._space import rows
 
@@ -45,10 +45,7 @@ class Policy:
             found = json.loads(found)
             self._layout, self._places = found["space"], found["features"]["places"]
             actions = found["actions"]
-            self._values = [
-                np.array(value, dtype=actions["dtype"]).reshape(actions["shape"]) if actions["shape"] else value
-                for value in actions["values"]
-            ]
+            self._values = _gym._values(actions)
 
     def __repr__(self) -> str:
         return f"Policy(checkpoint={self.checkpoint}, features={len(self._places)}, actions={self.actions})"

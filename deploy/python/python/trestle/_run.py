@@ -201,7 +201,7 @@ def train(
     name = os.fspath(config)
     if out is None:
         stem = Path(name).stem.replace(":", "-") if not name.startswith("gym:") else name.replace(":", "-").replace("/", "-")
-        out = Path("runs") / "-".join(filter(None, [stem, algo, f"seed{seed or 0}"]))
+        out = Path("runs") / "-".join(filter(None, [stem, algo, f"seed{(overrides or {}).get('run.seed', 0) if seed is None else seed}"]))
     path = Path(out)
     args = ["train", name, "--out", str(path), *_limits(episodes, env_steps)]
     for flag, value in (("--algo", algo), ("--seed", seed), ("--actors", actors), ("--mode", mode)):

@@ -14,8 +14,7 @@ mod rooms;
 mod walls;
 
 use super::map::Map;
-use rand::RngCore;
-use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_proto::rng::{Purpose, below, stream};
 
 /// Smallest side of a map of the generator `random`, cells.
 const MIN_OPEN: usize = 4;
@@ -87,11 +86,6 @@ impl Generator {
             Self::Gap => gap::generate(columns, rows, rng),
         }
     }
-}
-
-/// A number in `0..n` from one word of `rng`; `n` is a number of cells, so that the bias is below 2^-21.
-fn below(rng: &mut Stream, n: usize) -> usize {
-    ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
 }
 
 #[cfg(test)]
