@@ -109,7 +109,7 @@ fn plan(sets: &[&str]) -> RunPlan {
 fn an_environment_of_another_crate_is_one_like_the_others() {
     assert!(install(Registry::builtin().with::<Balance>("balance")).is_ok());
     assert!(install(Registry::builtin()).is_err(), "there is one already");
-    assert_eq!(registry().names(), ["maze", "point-maze", "balance"]);
+    assert_eq!(registry().names(), ["maze", "point-maze", "gym", "balance"]);
     assert_eq!(registry().declared("balance")[0].key, "env.balance.width");
     let wrong = Table::from_iter([("width".to_string(), 0.into())]);
     let error = registry().complete("balance", wrong).unwrap_err().to_string();
