@@ -1,94 +1,29 @@
-//! Files that users brought, each of which was once read wrongly or refused for the wrong reason: `golden/cases/`, a folder each.
+//! What users met, each of which was once done wrongly: `cases/`, a folder each, and more of the same kinds.
 
-use crate::util::{Outcome, Place, trestle};
-use std::fs;
-use std::path::Path;
+use crate::util::{Place, TRESTLE, trestle};
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
-fn case(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/cases").join(name).display().to_string()
+fn cases() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases")
 }
 
-/// Imports the case's file with these arguments; what was written, if anything was.
-fn import(name: &str, args: &[&str]) -> (Outcome, Option<String>) {
+#[test]
+fn every_case_ends_as_it_should() {
     let place = Place::new();
-    let (source, out) = (case(name), place.path("out.csv"));
-    let outcome = trestle(&[&["demo", "import", &source, "--out", &out], args].concat());
-    (outcome, fs::read_to_string(&out).ok())
-}
-
-/// The states of what is imported, a line each, with the trajectories before them.
-fn imported(name: &str, args: &[&str]) -> (String, String) {
-    let (outcome, written) = import(name, args);
-    let outcome = outcome.ok();
-    let rows = written.unwrap().lines().skip(1).map(|line| line.to_string() + "\n").collect();
-    (rows, outcome.stdout)
-}
-
-/// The program refuses the case, says so in a few lines, and writes nothing.
-fn refused(name: &str, args: &[&str], words: &[&str]) {
-    let (outcome, written) = import(name, args);
-    assert!(outcome.refused(words).stderr.len() < 2000);
-    assert_eq!(written, None);
-}
-
-#[test]
-fn tables_are_what_they_look_like() {
-    let (rows, said) = imported("csv-without-header/states.csv", &["--columns", "0,1"]);
-    assert_eq!(rows, "0,0,0,0\n0,0,1,0\n0,0,2,0\n0,0,2,1\n");
-    assert!(said.contains("the table has no header"), "{said}");
-    let (rows, _) = imported("csv-numeric-names/frame.csv", &["--columns", "0,1"]);
-    assert_eq!(rows, "0,0,5,6\n0,0,6,6\n0,0,7,6\n");
-    let (rows, said) = imported("csv-done/log.csv", &["--columns", "x,y"]);
-    assert_eq!(rows, "0,0,0,1\n0,0,1,1\n0,0,2,2\n1,0,9,9\n1,0,8,9\n1,0,7,9\n");
-    assert!(said.contains("`done` ends episodes, but does not say which last states are terminal"), "{said}");
-    let (rows, _) = imported("csv-semicolon/a.csv", &["--columns", "x,y"]);
-    assert_eq!(rows, "0,0,0,1\n0,0,1,1\n");
-}
-
-#[test]
-fn valid_hdf5_is_read_or_named() {
-    let two = "0,0,0,1\n0,0,2,3\n0,0,4,5\n1,0,6,7\n1,0,8,9\n1,0,10,11\n";
-    for name in ["hdf5-soft-link/a.hdf5", "hdf5-float16/a.hdf5"] {
-        assert_eq!(imported(name, &[]).0, two, "{name}");
-    }
-    refused("hdf5-szip/a.hdf5", &[], &["compressed with SZIP", "h5repack -f GZIP=4"]);
-    refused("lfs-pointer/a.hdf5", &[], &["a Git LFS pointer, not the data", "git lfs pull"]);
-}
-
-#[test]
-fn an_episode_without_its_last_observation_is_imported_as_it_is() {
-    let (rows, said) = imported("minari-short-episode/set", &[]);
-    assert_eq!(rows.lines().filter(|row| row.starts_with("1,")).count(), 5);
-    assert_eq!(rows.lines().filter(|row| row.contains(",1,10,11")).count(), 2, "{rows}");
-    assert!(said.contains("1 episodes have as many observations as steps"), "{said}");
-    // Or it is left out.
-    let (rows, _) = imported("minari-short-episode/set", &["--episodes", "0,2"]);
-    assert_eq!(rows.lines().count(), 12);
-}
-
-#[test]
-fn what_is_no_array_of_numbers_is_named() {
-    refused("npy-object/a.npy", &[], &["episodes of unequal length", "CSV with a column `episode`"]);
-    let place = Place::new();
-    let states: Vec<String> = (0..200_000).map(|i| format!("[{i}.0, 1.0]")).collect();
-    let (source, out) = (place.write("a.json", format!("[{}]", states.join(", "))), place.path("o.csv"));
-    let outcome = trestle(&["demo", "import", &source, "--out", &out]).refused(&["this is JSON"]);
-    assert!(outcome.stderr.lines().count() <= 4 && outcome.stderr.len() < 600, "{}", outcome.stderr);
-}
-
-#[test]
-fn maps_from_other_editors_are_read() {
-    for name in ["map-bom/m.txt", "map-blank-line-first/m.txt"] {
-        let set = format!("env.map={}", case(name));
-        trestle(&["config", "check", "maze-small", "--set", &set, "--set", "env.actions=regular"]).ok();
-    }
+    let run =
+        Command::new(cases().join("run.sh")).env("TRESTLE", TRESTLE).env("TMPDIR", place.root()).output();
+    let run = run.unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success(), "{said}{}", String::from_utf8_lossy(&run.stderr));
+    assert!(said.contains("as expected, 0 failed, ") && said.ends_with(" 0 to be read\n"), "{said}");
 }
 
 /// A demonstration whose states do not fit is noticed by everything that reads it.
 #[test]
 fn states_that_the_environment_cannot_have_are_named() {
     let place = Place::new();
-    let demo = case("demo-axes-swapped/demo.csv");
+    let demo = cases().join("demo-axes-swapped/demo.csv").display().to_string();
     let set = format!("mentor.demo={demo}");
     let words = [
         "are called row, column",
