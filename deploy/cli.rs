@@ -1,10 +1,12 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
 use crate::flags::{Limits, Target, help, presets, setting, whole, word};
+use crate::submit::options::Options;
 use crate::sweep::arms::Arm;
 use crate::sweep::jobs::MAX_JOBS;
 use crate::sweep::over::Over;
 use crate::sweep::seeds::Seeds;
+use crate::sweep::share::Share;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::net::IpAddr;
 use std::path::PathBuf;
@@ -40,6 +42,8 @@ pub(crate) enum Command {
     Report(Report),
     /// Show a run, a sweep or a folder of runs in a browser, live
     Watch(Watch),
+    /// Send runs to Weights & Biases, Trackio or MLflow, live or afterwards (needs the Python package)
+    Sync(Sync),
     /// Play the greedy policy of a run's checkpoint and draw its path
     Eval(Eval),
     /// Write a run's network for other programs
@@ -169,6 +173,47 @@ pub(crate) struct Watch {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Sync {
+    /// A run, a sweep, or any directory with runs in it
+    #[arg(value_name = "DIR")]
+    pub(crate) dir: PathBuf,
+    /// The tracker
+    #[arg(long, value_enum, value_name = "TRACKER")]
+    pub(crate) to: Tracker,
+    /// The tracker's project, or experiment; `trestle` if not given
+    #[arg(long, value_name = "NAME", default_value = "trestle")]
+    pub(crate) project: String,
+    /// Send what there is and end, also where runs are still being trained
+    #[arg(long)]
+    pub(crate) once: bool,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+/// Who keeps records of experiments.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Tracker {
+    /// Weights & Biases
+    Wandb,
+    /// Trackio, of Hugging Face
+    Trackio,
+    /// MLflow
+    Mlflow,
+}
+
+impl Tracker {
+    /// Its word on the command line, and that of the package's extra.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Wandb => "wandb",
+            Self::Trackio => "trackio",
+            Self::Mlflow => "mlflow",
+        }
+    }
+}
+
+#[derive(Debug, Args)]
 #[command(after_help = presets())]
 pub(crate) struct Sweep {
     /// A preset, a TOML file, or `suite` for the tasks of a set; not needed with --resume
@@ -195,7 +240,7 @@ pub(crate) struct Sweep {
     /// Seeds: 0..30 is thirty of them, 1,5,7 three; those of the sweep with --resume alone
     #[arg(long, value_name = "SEEDS", required_unless_present = "resume")]
     pub(crate) seeds: Option<Seeds>,
-    /// Runs at once; as many as cores and memory allow if not given
+    /// Runs at once; as many as cores and memory allow, or with --submit as the cluster allows, if not given
     #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=MAX_JOBS as u64))]
     pub(crate) jobs: Option<u16>,
     #[command(flatten)]
@@ -206,11 +251,35 @@ pub(crate) struct Sweep {
     /// Keep the runs that are complete and go on with the others; with a higher --episodes or --env-steps prolong them all
     #[arg(long)]
     pub(crate) resume: bool,
+    /// Train only every OF-th run, from number PART on: a task's share, beside others in the same directory
+    #[arg(long, value_name = "PART/OF", requires = "resume")]
+    pub(crate) share: Option<Share>,
+    /// Hand the runs to a scheduler instead of training them here
+    #[arg(long, value_enum, value_name = "SCHEDULER", conflicts_with_all = ["share", "watch"])]
+    pub(crate) submit: Option<Scheduler>,
+    /// With `--submit slurm`: options of sbatch, such as partition=x,time=4:00:00,cpus=4; may be repeated
+    #[arg(long, value_name = "KEY=VALUE,...", requires = "submit")]
+    pub(crate) slurm: Vec<Options>,
+    /// With `--submit kubernetes`: image, claim, namespace, name, cpus, memory and shm; may be repeated
+    #[arg(long, value_name = "KEY=VALUE,...", requires = "submit")]
+    pub(crate) kubernetes: Vec<Options>,
+    /// With --submit: print the job, and neither write nor start anything
+    #[arg(long, requires = "submit")]
+    pub(crate) dry_run: bool,
     #[command(flatten)]
     pub(crate) beside: Beside,
     /// Print the summary only
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+/// Schedulers of clusters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Scheduler {
+    /// An array job
+    Slurm,
+    /// An Indexed Job
+    Kubernetes,
 }
 
 #[derive(Debug, Args)]

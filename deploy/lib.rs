@@ -34,6 +34,7 @@ mod reference;
 mod screen;
 mod status;
 mod stored;
+mod submit;
 mod supervise;
 mod sweep;
 

@@ -31,6 +31,7 @@ mod resume;
 mod room;
 mod schedule;
 mod shutdown;
+mod submit;
 mod suite;
 mod sweep;
 mod train;

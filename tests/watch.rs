@@ -1,11 +1,12 @@
 //! The live page as a command, and beside a training.
 
-use crate::util::{LIMIT, Place, Process, result, start, trestle, wait_until};
+use crate::util::{LIMIT, Outcome, Place, Process, result, start, start_under, trestle, wait_until};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::PermissionsExt;
 
 /// A port that nobody has.
 fn free_port() -> u16 {
@@ -116,4 +117,37 @@ fn an_evaluation_becomes_a_picture_and_the_best_weights_are_kept() {
     trestle(&["eval", &root, "--picture", &other]).refused(&["d.jpg", ".gif, .png, .svg"]);
     fs::remove_file(place.run("run").best()).unwrap();
     trestle(&["eval", &root, "--checkpoint", "best"]).refused(&["no weights of a best evaluation", "last"]);
+}
+
+/// `trestle sync` where programs are looked for in the directory `bin` alone.
+fn sync(bin: &str, args: &[&str]) -> Outcome {
+    start_under(&["/usr/bin/env", &format!("PATH={bin}")], &[&["sync"], args].concat()).finish()
+}
+
+/// What sends runs to trackers is Python's.
+#[test]
+fn sync_says_where_it_is_to_be_had() {
+    let place = Place::new();
+    place.train("run", &["maze-small", "--env-steps", "600"]);
+    let root = place.path("run");
+    trestle(&["sync", &root, "--to", "elsewhere"]).code(2);
+    trestle(&["sync", &place.path("none"), "--to", "wandb"]).refused(&["is no directory", "accepted: a run"]);
+    // A Python without the package, and none at all.
+    let bin = place.path("bin");
+    fs::create_dir(&bin).unwrap();
+    let missing = sync(&bin, &[&root, "--to", "mlflow"]);
+    missing.refused(&["cannot start python3", "pip install 'trestle-rl[mlflow]'"]);
+    let python = place.write("bin/python3", "#!/bin/sh\nexit 1\n");
+    fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).unwrap();
+    let without = sync(&bin, &[&root, "--to", "wandb"]);
+    without.refused(&["python3 has no package trestle", "pip install 'trestle-rl[wandb]'"]);
+    // One with it gets the order.
+    fs::write(&python, "#!/bin/sh\n[ \"$1\" = -c ] || echo \"$@\"\n").unwrap();
+    let sent = sync(&bin, &[&root, "--to", "trackio", "--once"]).ok();
+    let order = sent.stdout.trim().strip_prefix("-m trestle tracker-sync ").unwrap();
+    let order: Value = serde_json::from_str(order).unwrap();
+    assert_eq!(
+        (&order["to"], &order["dir"], &order["once"]),
+        (&"trackio".into(), &root.into(), &true.into())
+    );
 }

@@ -10,7 +10,9 @@ mod picture;
 mod report;
 mod resume;
 mod role;
+mod submit;
 mod sweep;
+mod sync;
 mod train;
 mod watch;
 
@@ -55,6 +57,7 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Sweep(args) => sweep::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Watch(args) => watch::run(&args),
+        Command::Sync(args) => sync::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Demo(args) => demo::run(&args),

@@ -1,6 +1,6 @@
 //! `trestle sweep`
 
-use super::watch;
+use super::{submit, watch};
 use crate::cli::Sweep as Args;
 use crate::flags::Limits;
 use crate::prepare::{Needs, Resolved, check as check_machine, resolve, weaknesses};
@@ -36,12 +36,33 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
         most.push(resolved.needs());
     }
     let needs = most.into_iter().reduce(Needs::max).context("a sweep without arms")?;
+    let manifest = Manifest::new(&source, sets.clone(), limits, arms.clone(), seeds.clone());
+    if let Some(scheduler) = args.submit {
+        return submit::run(args, scheduler, &manifest, suite.as_ref(), &needs);
+    }
     let at_once = args.jobs.map_or_else(|| default_jobs(needs.shared_memory), usize::from);
-    let all = jobs(&source, &sets, limits, &arms, &seeds, &args.out)?;
-    let together = at_once.min(all.len());
+    let mut all = jobs(&source, &sets, limits, &arms, &seeds, &args.out)?;
+    if let Some(share) = args.share {
+        all = all
+            .into_iter()
+            .enumerate()
+            .filter(|(number, _)| share.has(*number))
+            .map(|(_, job)| job)
+            .collect();
+    }
+    let together = at_once.min(all.len()).max(1);
     check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
     watch::beside(args.beside, &args.out, None)?;
-    Manifest::new(&source, sets, limits, arms.clone(), seeds).claim(&args.out, args.resume)?;
+    if args.share.is_some() {
+        // Others may be at it, so what a suite makes is made by whoever begins the sweep.
+        ensure!(
+            suite.is_none(),
+            "--share with {SUITE}; accepted: `--share PART/OF --resume --out DIR` alone"
+        );
+        manifest.join(&args.out)?;
+    } else {
+        manifest.claim(&args.out, args.resume)?;
+    }
     if let Some(suite) = &suite {
         suite.write(&args.out)?;
     }
@@ -182,6 +203,10 @@ fn report(sweep: &Sweep, swept: &Swept) -> Result<()> {
             let both = sweep.jobs.iter().zip(&swept.outcomes);
             both.filter(|(job, _)| job.arm == number).map(|(_, outcome)| outcome)
         };
+        // A share need not have runs of every arm.
+        if of_arm().next().is_none() {
+            continue;
+        }
         let results: Vec<&RunResult> = of_arm()
             .filter_map(|outcome| match outcome {
                 Outcome::Complete(result) => Some(result.as_ref()),

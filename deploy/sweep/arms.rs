@@ -1,11 +1,14 @@
 //! The arms of a sweep: algorithms as they are, and settings with a name.
 
+use crate::submit::SUBMIT;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
 use trestle_proto::config::Algo;
 use trestle_suite::set::{MAX_NAME, is_plain};
 
+/// Directories of a sweep that hold something else: those of its report, and of the jobs that a scheduler got.
+const RESERVED: [&str; 2] = ["report", SUBMIT];
 /// Arms of a sweep, at most.
 pub(crate) const MAX_ARMS: usize = 8192;
 
@@ -51,10 +54,10 @@ impl FromStr for Arm {
                 "the name {name:?}; accepted: 1 to {MAX_NAME} of the letters a-z, A-Z, 0-9 and -_.@+, no dot first"
             ));
         }
-        if name == "report" {
-            return Err(
-                "the name \"report\", which is that of the report's directory; accepted: another one".into(),
-            );
+        if RESERVED.contains(&name) {
+            return Err(format!(
+                "the name {name:?}, which is that of another directory; accepted: another one"
+            ));
         }
         let sets = pieces(rest)?;
         if let Some(set) = sets.iter().find(|set| !set.contains('=')) {
@@ -70,7 +73,7 @@ impl FromStr for Arm {
 }
 
 /// `text` cut at its commas, but for those within brackets or quotes.
-pub(super) fn pieces(text: &str) -> Result<Vec<String>, String> {
+pub(crate) fn pieces(text: &str) -> Result<Vec<String>, String> {
     let (mut pieces, mut piece, mut depth, mut quote) = (Vec::new(), String::new(), 0u32, None);
     for c in text.chars() {
         match (c, quote) {
@@ -117,6 +120,7 @@ mod tests {
             ("../up:algo=dqn", "name \"../up\""),
             (".hidden:algo=dqn", "no dot first"),
             ("report:algo=dqn", "the name \"report\""),
+            ("submit:algo=dqn", "the name \"submit\""),
             ("a:algo", "setting \"algo\""),
             ("a:x=1,,y=2", "setting \"\""),
             ("a:x=[1,2", "without its end"),

@@ -3,13 +3,14 @@
 use super::arms::Arm;
 use crate::flags::Limits;
 use crate::prepare::try_lock;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{ErrorKind, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use trestle_proto::regular_file;
-use trestle_proto::rundir::{Durable, is_temporary, write_atomically};
+use trestle_proto::rundir::{Durable, write_atomically};
 
 const MANIFEST: &str = "sweep.json";
 /// What the names of directories begin with in which a sweep finds out how fast its runs are.
@@ -78,14 +79,27 @@ impl Manifest {
     }
 
     /// Takes the directory `out` for this sweep: a new one, or with `resume` that of the same sweep, to which arms and
-    /// seeds may have been added, and whose runs may be longer now.
+    /// seeds may have been added, and whose runs may be longer now. Returns what the directory holds from now on.
     ///
     /// # Errors
     /// A directory that holds something else, or cannot be written.
-    pub(crate) fn claim(&self, out: &Path, resume: bool) -> Result<()> {
+    pub(crate) fn claim(&self, out: &Path, resume: bool) -> Result<Self> {
         let path = Self::path(out);
-        let mut union = self.clone();
         clear(out)?;
+        let union = self.united(out, resume)?;
+        fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+        let text = serde_json::to_string_pretty(&union)?;
+        write_atomically(&path, Durable::Now, |file| writeln!(file, "{text}"))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(union)
+    }
+
+    /// What [`Manifest::claim`] would return, without touching anything.
+    ///
+    /// # Errors
+    /// A directory that holds something else.
+    pub(crate) fn united(&self, out: &Path, resume: bool) -> Result<Self> {
+        let mut union = self.clone();
         if fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
             if !resume {
                 bail!(
@@ -98,10 +112,43 @@ impl Manifest {
             union.arms.extend(before.arms.into_iter().filter(|arm| !self.arms.contains(arm)));
             union.seeds.extend(before.seeds.into_iter().filter(|seed| !self.seeds.contains(seed)));
         }
-        fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
-        let text = serde_json::to_string_pretty(&union)?;
-        write_atomically(&path, Durable::Now, |file| writeln!(file, "{text}"))
-            .with_context(|| format!("cannot write {}", path.display()))
+        Ok(union)
+    }
+
+    /// Takes part in the sweep in `out` beside other processes, perhaps on other hosts. The first one that comes writes what the
+    /// sweep is, and the others only read it.
+    ///
+    /// # Errors
+    /// A directory that holds another sweep, or cannot be written.
+    pub(crate) fn join(&self, out: &Path) -> Result<()> {
+        let path = Self::path(out);
+        if !path.exists() {
+            fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+            // Processes of several hosts can have one number, so the name of the file is drawn.
+            let written =
+                tempfile::Builder::new().prefix(".sweep.json.").suffix(".tmp").tempfile_in(out).and_then(
+                    |mut file| {
+                        writeln!(file, "{}", serde_json::to_string_pretty(self)?)?;
+                        file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
+                        file.as_file().sync_all()?;
+                        match file.persist_noclobber(&path) {
+                            Err(lost) if lost.error.kind() != ErrorKind::AlreadyExists => Err(lost.error),
+                            _ => Ok(()),
+                        }
+                    },
+                );
+            written.with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        let there = Self::read(out)?;
+        there.check_same(self, out)?;
+        let lacks = |what: &str| format!("--share: {} is of a sweep without {what}", path.display());
+        for arm in &self.arms {
+            ensure!(there.arms.contains(arm), lacks(&format!("the arm {}", arm.name)));
+        }
+        for seed in &self.seeds {
+            ensure!(there.seeds.contains(seed), lacks(&format!("the seed {seed}")));
+        }
+        Ok(())
     }
 
     /// Whether `typed` is this sweep, but for the length of its runs, and arms and seeds that are new or not named this time.
@@ -142,7 +189,7 @@ fn clear(out: &Path) -> Result<()> {
         let name = entry.file_name();
         let name = name.to_string_lossy();
         let is_dir = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        let torn = !is_dir && name.starts_with(&format!(".{MANIFEST}.")) && is_temporary(&name);
+        let torn = !is_dir && name.starts_with(&format!(".{MANIFEST}.")) && name.ends_with(".tmp");
         if torn || is_dir && name.starts_with(PROBE) {
             leftovers.push((entry.path(), is_dir));
         } else if !Manifest::path(out).exists() {
@@ -169,6 +216,7 @@ fn clear(out: &Path) -> Result<()> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use std::thread;
 
     fn sweep(arms: &[&str], seeds: &[u64]) -> Manifest {
         let arms = arms.iter().map(|arm| arm.parse().unwrap()).collect();
@@ -203,5 +251,23 @@ mod tests {
         fs::create_dir_all(out.join(".probe-x/logs")).unwrap();
         sweep(&["a:x=1"], &[0]).claim(&out, false).unwrap();
         assert_eq!(fs::read_dir(&out).unwrap().count(), 1);
+    }
+    #[test]
+    fn several_take_part_in_one_sweep() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("s");
+        let ours = sweep(&["a:x=1"], &[0, 1]);
+        thread::scope(|scope| {
+            let joined: Vec<_> = (0..8).map(|_| scope.spawn(|| ours.join(&out))).collect();
+            joined.into_iter().for_each(|joined| joined.join().unwrap().unwrap());
+        });
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 1);
+        assert_eq!(Manifest::read(&out).unwrap(), ours);
+        sweep(&["a:x=1"], &[1]).join(&out).unwrap();
+        let says = |other: Manifest| other.join(&out).unwrap_err().to_string();
+        assert!(says(sweep(&["a:x=1"], &[2])).contains("without the seed 2"));
+        assert!(says(sweep(&["b:x=1"], &[0])).contains("without the arm b"));
+        assert!(says(sweep(&["a:x=2"], &[0])).contains("arm a is"));
+        assert_eq!(Manifest::read(&out).unwrap(), ours);
     }
 }

@@ -10,6 +10,7 @@ pub(crate) mod manifest;
 pub(crate) mod over;
 mod progress;
 pub(crate) mod seeds;
+pub(crate) mod share;
 pub(crate) mod suite;
 
 use crate::flags::Limits;
@@ -266,7 +267,7 @@ fn unfinished(outcomes: Vec<Option<Outcome>>) -> Vec<Outcome> {
 
 /// The outcome of a job that needs nothing more: one that has run its whole length, or whose directory cannot be used. Where a
 /// killed start has left something beside its directory, that is put right first.
-fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
+pub(crate) fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
     if disturbed {
         match recover(&job.dir) {
             Ok(notes) => notes.iter().for_each(|note| crate::output::say(note)),
