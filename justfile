@@ -16,6 +16,14 @@ mujoco:
 test:
     .ci/run test
 
+# A sweep on a real SLURM on this machine, which needs root; with `tests/slurm/run.sh --time-limit` by a real time limit.
+slurm:
+    .ci/run slurm
+
+# Manifests for Kubernetes against its schemas.
+kubernetes:
+    .ci/run kubernetes
+
 # Every decoder under libFuzzer, for a few seconds; `tests/fuzz/run.sh SECONDS` for longer.
 fuzz:
     .ci/run fuzz

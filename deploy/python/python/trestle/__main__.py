@@ -9,8 +9,8 @@ from typing import NoReturn
 
 from . import _trestle
 
-#: The subcommand that looks at an environment before a run.
-_PROBE = "gym-probe"
+#: The subcommands of Python's: the one that looks at an environment before a run, and the one that sends runs to a tracker.
+_PROBE, _SENDER = "gym-probe", "tracker-sync"
 
 
 def main() -> NoReturn:
@@ -23,6 +23,10 @@ def main() -> NoReturn:
         from ._probe import probe
 
         status = probe()
+    elif arguments[:1] == [_SENDER]:
+        from ._sync import sync
+
+        status = sync(*arguments[1:])
     else:
         status = _trestle.main(["trestle", *arguments], [sys.executable, "-m", "trestle"])
     for stream in (sys.stdout, sys.stderr):
