@@ -1,4 +1,5 @@
-//! The tables of docs/configuration.md are those of the settings' declarations.
+//! The tables of docs/configuration.md are those of the settings' declarations, and docs/algorithm.md has the table of selection
+//! rules.
 //!
 //! `TRESTLE_WRITE_DOCS=1 cargo test --test integration documentation` writes them anew.
 
@@ -8,7 +9,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
-use trestle_proto::config::{Environments, Setting, declared};
+use trestle_proto::config::{Environments, Setting, declared, listed};
 
 const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/configuration.md");
 /// What stands before a table, with the key of the settings' table, and after it.
@@ -57,6 +58,30 @@ fn every_setting_is_documented_as_it_is_declared() {
         return fs::write(PATH, &written).unwrap();
     }
     assert!(written == text, "docs/configuration.md is out of date: see the head of tests/documentation.rs");
+}
+
+#[test]
+fn the_table_of_selection_rules_is_documented() {
+    const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/algorithm.md");
+    const BEGIN: &str = "<!-- selection rules -->\n";
+    const END: &str = "<!-- end of selection rules -->\n";
+    let text = fs::read_to_string(PATH).unwrap();
+    let (before, rest) = text.split_once(BEGIN).unwrap();
+    let (_, after) = rest.split_once(END).unwrap();
+    let mut table =
+        "\n| rule | loss | it remembers | `draw` | `combine` | `reward` |\n|---|---|---|---|---|---|\n"
+            .to_string();
+    for rule in registry().selections() {
+        let (draws, combines, rewards) = (listed(rule.draws), listed(rule.combines), listed(rule.rewards));
+        let (about, remembers) = (rule.about.trim_end_matches('.'), rule.remembers);
+        writeln!(table, "| `{}` | {about} | {remembers} | {draws} | {combines} | {rewards} |", rule.name)
+            .unwrap();
+    }
+    let written = format!("{before}{BEGIN}{table}\n{END}{after}");
+    if std::env::var_os("TRESTLE_WRITE_DOCS").is_some() {
+        return fs::write(PATH, &written).unwrap();
+    }
+    assert!(written == text, "docs/algorithm.md is out of date: see the head of tests/documentation.rs");
 }
 
 #[test]

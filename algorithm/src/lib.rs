@@ -8,7 +8,7 @@
 //! 4. [`inference`]: which action the mentor probably took (a_est), and how good the guess is (e_KL);
 //! 5. [`bridge`]: other ways from a mentor state back onto the mentor's path;
 //! 6. [`mentor`]: these together, one batch of transitions after the other;
-//! 7. [`losses`]: the observer's loss, the mentor's, and the choice between them;
+//! 7. [`losses`]: the observer's loss and the mentor's; [`selection`]: the rules that weigh one against the other;
 //! 8. [`replay`] and [`shaping`]: what a gradient step draws from;
 //! 9. [`agent`]: the gradient step and all that it changes;
 //! 10. [`learned_bridges`] (ours): a policy that leads back onto the mentor's path, learnt to explore.
@@ -22,6 +22,7 @@ pub mod learned_bridges;
 pub mod losses;
 pub mod mentor;
 pub mod replay;
+pub mod selection;
 pub mod shaping;
 pub mod similarity;
 pub mod states;

@@ -1,7 +1,9 @@
 //! A network with a batch of samples, and one gradient step of DQN or DIIQN on it.
 
 use anyhow::Result;
-use trestle_algorithm::losses::{Distances, min_distance};
+use trestle_algorithm::losses::MentorKind;
+use trestle_algorithm::selection::{self, Candidate, Need, Own, Rule};
+use trestle_proto::config::Mentor;
 use trestle_proto::rng::{Purpose, mix, stream};
 use trestle_qnet::{
     Adam, AdamConfig, AlignedBuffer, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, backward,
@@ -16,8 +18,8 @@ pub struct GradientStep {
     kernels: Kernels,
     network: QNetwork,
     rows: usize,
-    /// Past Q-values of each sample's own action and of its mentor's; none for DQN.
-    past: Vec<[f32; 2]>,
+    /// Chooses between a sample's own action and its mentor's; none for DQN.
+    rule: Option<Box<dyn Rule>>,
     workspace: Workspace,
     adam: Adam,
     x: Vec<f32>,
@@ -41,10 +43,14 @@ impl GradientStep {
         };
         let values = |rows: usize| vec![0.0; rows * layout.output()];
         let action = |row: usize| row as u32 % layout.output() as u32;
+        let config = Mentor { selection: "min-distance".into(), ..Mentor::default() };
+        let need = Need { mentor: &config, mentor_len: rows, replay: rows };
+        let mut rule = if mentor { Some(selection::make(&need)?) } else { None };
+        (0..rows).for_each(|slot| rule.iter_mut().for_each(|rule| rule.stored(slot)));
         Ok(Self {
             kernels,
             rows,
-            past: vec![[0.0; 2]; forward_rows - rows],
+            rule,
             workspace: Workspace::with_kernels(&layout, forward_rows, kernels),
             adam: Adam::new(layout.n_params()),
             x: features(1, forward_rows),
@@ -60,26 +66,29 @@ impl GradientStep {
 
     /// Rows of the online network's forward pass.
     pub fn forward_rows(&self) -> usize {
-        self.rows + self.past.len()
+        self.rows * (1 + usize::from(self.rule.is_some()))
     }
 
     /// One step as the learner takes it: the online network's values (of the mentor's states, too), the choice between
     /// both losses, the target network's values, Huber's derivative, the gradient, Adam.
     pub fn run(&mut self) -> Result<()> {
         let forward_rows = self.forward_rows();
-        let Self { layout, kernels, network, rows, past, workspace, adam, x, next, q, q_target, terms, grad } =
+        let Self { layout, kernels, network, rows, rule, workspace, adam, x, next, q, q_target, terms, grad } =
             self;
         let (loss, scale, n) = (Loss::Huber { delta: 1.0 }, 1.0 / *rows as f32, layout.output());
         network.with_params(|online, target| {
             forward_train(layout, online, x, forward_rows, workspace, q);
             forward(layout, target, next, *rows, workspace, q_target);
         })?;
-        for (row, past) in past.iter_mut().enumerate() {
-            let action = terms[row].action as usize;
-            let (q_o, q_m) = (q[row * n + action], q[(*rows + row) * n + action]);
-            let mentor = min_distance(&Distances { q_o, past_o: past[0], q_m, past_m: past[1] });
-            terms[row].row = if mentor { *rows + row } else { row } as u32;
-            *past = [q_o, q_m];
+        if let Some(rule) = rule {
+            for (row, term) in terms.iter_mut().enumerate() {
+                let action = term.action;
+                let own = Own { slot: row, action, q: q[row * n + action as usize] };
+                let of_s_m = &q[(*rows + row) * n..][..n];
+                let mentor = Candidate { j: row, kind: MentorKind::Feasible, action, e_kl: 0.0, q: of_s_m };
+                term.row = if rule.weight(&own, &mentor) > 0.0 { *rows + row } else { row } as u32;
+                rule.trained(&own, Some(&mentor));
+            }
         }
         for (of_next, term) in q_target.chunks_exact(n).zip(terms.iter_mut()) {
             let target = GAMMA * of_next[argmax(of_next)] - 0.04;

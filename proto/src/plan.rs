@@ -10,7 +10,7 @@ use crate::waypoints::Waypoints;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
-pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 8 };
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 9 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -6,7 +6,8 @@ use super::{EnvError, Environment, Ground};
 use std::marker::PhantomData;
 use std::sync::OnceLock;
 use trestle_proto::config::{
-    self, Config, ConfigError, Environments, Field, Preset, SHARED, Setting, Table, Value, refuse,
+    self, Config, ConfigError, Environments, Field, Preset, SHARED, SelectionRule, Setting, Table, Value,
+    refuse,
 };
 use trestle_proto::names;
 
@@ -193,6 +194,10 @@ impl Environments for Registry {
 
     fn presets(&self) -> Vec<Preset> {
         self.entries.iter().flat_map(|entry| entry.kind.presets()).copied().collect()
+    }
+
+    fn selections(&self) -> Vec<SelectionRule> {
+        trestle_algorithm::selection::rules()
     }
 }
 

@@ -1,6 +1,7 @@
 //! What can keep an agent from being made, fed or trained.
 
 use crate::replay::ReplayMemoryError;
+use crate::selection::SelectionError;
 use crate::similarity::metric::MetricError;
 use trestle_proto::annotation::AnnotationError;
 use trestle_qnet::{AdamError, LossError, NetworkError, PlanError};
@@ -29,6 +30,9 @@ pub enum AgentError {
     /// The replay.
     #[error(transparent)]
     Replay(#[from] ReplayMemoryError),
+    /// The rule that weighs the mentor's loss.
+    #[error(transparent)]
+    Selection(#[from] SelectionError),
     /// An annotation of the mentor-server.
     #[error(transparent)]
     Annotation(#[from] AnnotationError),

@@ -1,6 +1,6 @@
 //! Taking transitions in: limits, counts, episodes, annotations, the replay and its first past values.
 
-use super::{Agent, AgentError, Counters, Episode, Running, Selection};
+use super::{Agent, AgentError, Counters, Episode, Running};
 use trestle_proto::NONE;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::Batch;
@@ -57,8 +57,11 @@ impl Agent {
             if let Some(shaping) = &mut self.shaping {
                 shaping.store(slot, &transition);
             }
-            if let Some(mentor) = self.mentor.as_mut().filter(|_| picked != NONE) {
-                mentor.visited[picked as usize] += 1;
+            if let Some(mentor) = &mut self.mentor {
+                mentor.selection.stored(slot);
+                if picked != NONE {
+                    mentor.visited[picked as usize] += 1;
+                }
             }
             self.counters.env_steps += 1;
             ingested.consumed += 1;
@@ -85,7 +88,7 @@ impl Agent {
                 });
             }
         }
-        self.set_past_values(first)?;
+        self.value_stored(first)?;
         Ok(ingested)
     }
 
@@ -124,14 +127,14 @@ impl Agent {
         }
     }
 
-    /// Computes the past values of the entries from global index `first` on, under the present weights. Only
-    /// entries with a mentor transition need any, and only for `min-distance`.
-    fn set_past_values(&mut self, first: u64) -> Result<(), AgentError> {
-        let (Some(mentor), Selection::MinDistance) = (&self.mentor, self.settings.selection) else {
+    /// Shows the selection rule, if it wants them, the values of the entries from global index `first` on that have a mentor
+    /// transition, under the present weights.
+    fn value_stored(&mut self, first: u64) -> Result<(), AgentError> {
+        let Some(mentor) = self.mentor.as_mut().filter(|mentor| mentor.selection.values_stored()) else {
             return Ok(());
         };
         // A batch may be longer than the replay; only its end is stored then.
-        let (step, replay) = (&mut self.step, &mut self.replay);
+        let (step, replay) = (&mut self.step, &self.replay);
         let mut index = first.max(replay.first_index());
         while index < replay.next_index() {
             step.clear();
@@ -139,11 +142,11 @@ impl Agent {
                 let slot = replay.slot(index);
                 index += 1;
                 if let Some(j) = replay.get(slot).mentor {
-                    step.add(slot, Some(j), replay, Some(mentor), &self.settings.rule, &self.encoding);
+                    step.add(slot, Some(j), replay, Some(&*mentor), &self.settings.rule, &self.encoding);
                 }
             }
             step.forward_values(&self.network)?;
-            step.refresh_past(replay);
+            step.each_with_mentor(|own, candidate| mentor.selection.valued(own, candidate));
         }
         Ok(())
     }

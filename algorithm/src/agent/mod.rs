@@ -29,8 +29,9 @@ pub use state::{AgentState, Parts};
 pub use stats::{MentorSummary, TrainStats};
 
 use crate::learned_bridges::{Hindsight, Imitation, OwnPaths, hindsight_of, imitation_of, own_of};
-use crate::losses::{Confidence, MentorKind, MentorRule, mentor_term};
+use crate::losses::{MentorKind, MentorRule, mentor_term};
 use crate::replay::Replay;
+use crate::selection::{self, Need, Rule};
 use crate::shaping::Shaping;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
@@ -39,7 +40,7 @@ use trestle_proto::NONE;
 use trestle_proto::acting::Acting;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::Batch;
-use trestle_proto::config::{CombineKind, DrawKind, Exploration, Learner, LossKind, SelectionKind};
+use trestle_proto::config::{CombineKind, DrawKind, Exploration, Learner, LossKind};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
@@ -93,18 +94,9 @@ struct Settings {
     episodes: Option<u64>,
     env_steps: Option<u64>,
     rule: MentorRule,
-    selection: Selection,
     combine: CombineKind,
     draw: DrawKind,
     one_sided: bool,
-}
-
-/// How a sample's loss is chosen, with the settings of the choice.
-#[derive(Clone, Copy, Debug)]
-enum Selection {
-    MinDistance,
-    Confidence(Confidence),
-    Always,
 }
 
 /// What the agent knows of the mentor.
@@ -113,9 +105,8 @@ struct MentorSide {
     transitions: MentorTransitions,
     /// Mirror of the mentor-server's table.
     annotations: AnnotationTable,
-    /// For each mentor transition the samples that have been trained with a mentor's loss of it: c of the
-    /// confidence. A transition stands for its state s_m.
-    trained: Vec<u32>,
+    /// What weighs its loss of a sample against the observer's own.
+    selection: Box<dyn Rule>,
     /// For each mentor transition the observer transitions that it was picked for.
     visited: Vec<u64>,
     /// For each mentor transition the samples whose loss had a share of its L_m.
@@ -125,6 +116,19 @@ struct MentorSide {
 }
 
 impl MentorSide {
+    fn new(plan: &RunPlan, transitions: MentorTransitions) -> Result<Self, AgentError> {
+        let (config, len) = (&plan.config, transitions.len());
+        let need = Need { mentor: &config.mentor, mentor_len: len, replay: config.learner.replay };
+        Ok(Self {
+            annotations: AnnotationTable::new(len, plan.spec.obs_dim(), plan.spec.n_actions()),
+            selection: selection::make(&need)?,
+            visited: vec![0; len],
+            used: vec![0; len],
+            searches_cut_short: 0,
+            transitions,
+        })
+    }
+
     fn row(&self, j: usize, rule: &MentorRule) -> MentorRow<'_> {
         let term = mentor_term(rule, j, &self.annotations, &self.transitions, 0.0);
         MentorRow {
@@ -157,15 +161,10 @@ impl Agent {
     pub fn new(plan: &RunPlan, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
         let settings = Settings::new(plan)?;
         let ((layout, encoding), kernels) = (network_of(plan)?, kernels_of(plan)?);
-        let (obs_dim, n_actions) = (plan.spec.obs_dim(), plan.spec.n_actions());
-        let mentor = check_mentor(plan, mentor)?.map(|transitions| MentorSide {
-            annotations: AnnotationTable::new(transitions.len(), obs_dim, n_actions),
-            trained: vec![0; transitions.len()],
-            visited: vec![0; transitions.len()],
-            used: vec![0; transitions.len()],
-            searches_cut_short: 0,
-            transitions,
-        });
+        let mentor = match check_mentor(plan, mentor)? {
+            Some(transitions) => Some(MentorSide::new(plan, transitions)?),
+            None => None,
+        };
         let seed = plan.config.run.seed;
         let mut acting = Acting::zeros(plan.acting());
         acting.weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
@@ -178,7 +177,7 @@ impl Agent {
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch, kernels),
             adam: Adam::new(layout.n_params()),
-            replay: Replay::new(settings.learner.replay, obs_dim)?,
+            replay: Replay::new(settings.learner.replay, plan.spec.obs_dim())?,
             network,
             shaping: Shaping::new(plan)?,
             hindsight,
@@ -317,11 +316,6 @@ impl Settings {
             episodes: run.episodes,
             env_steps: run.env_steps,
             rule: MentorRule::new(run.algo, mentor),
-            selection: match mentor.selection {
-                SelectionKind::MinDistance => Selection::MinDistance,
-                SelectionKind::Confidence => Selection::Confidence(Confidence::new(mentor)),
-                SelectionKind::Always => Selection::Always,
-            },
             combine: mentor.combine,
             draw: mentor.draw,
             one_sided: mentor.one_sided,

@@ -19,8 +19,6 @@ pub struct AgentState {
     rng: Stream,
     /// Return, length and first transition of each actor's unfinished episode.
     running: Vec<(f64, u64, u64)>,
-    /// Training counts of the mentor transitions.
-    trained: Vec<u32>,
     /// For each mentor transition how often it was picked for an observer transition, and used in a sample's loss.
     visited: Vec<u64>,
     used: Vec<u64>,
@@ -48,6 +46,8 @@ pub struct Parts {
     pub adam: Adam,
     /// Annotation records of every mentor transition; empty for `dqn`.
     pub annotations: Vec<u32>,
+    /// What the selection rule remembers; empty for `dqn`.
+    pub selection: Vec<u8>,
 }
 
 fn fingerprint(transitions: &MentorTransitions) -> u32 {
@@ -75,7 +75,6 @@ impl Agent {
             trained_to: self.trained_to,
             rng: self.rng.clone(),
             running: self.running.iter().map(|r| (r.total_reward, r.length, r.first)).collect(),
-            trained: self.mentor.as_ref().map(|mentor| mentor.trained.clone()).unwrap_or_default(),
             visited: self.mentor.as_ref().map(|mentor| mentor.visited.clone()).unwrap_or_default(),
             used: self.mentor.as_ref().map(|mentor| mentor.used.clone()).unwrap_or_default(),
             searches_cut_short: self.searches_cut_short().unwrap_or(0),
@@ -97,6 +96,11 @@ impl Agent {
         self.mentor.as_ref().map(MentorSide::records).unwrap_or_default()
     }
 
+    /// What the selection rule remembers ([`crate::selection::Rule::save`]); none for `dqn`.
+    pub fn selection(&self) -> Option<Vec<u8>> {
+        self.mentor.as_ref().map(|mentor| mentor.selection.save())
+    }
+
     /// Gives a new agent of the same plan the state of another. Its replay must have been read before.
     ///
     /// # Errors
@@ -109,7 +113,6 @@ impl Agent {
         let moments = |moments: &[f32]| moments.len() as u64;
         for (what, found, accepted) in [
             ("the number of actors", state.running.len() as u64, self.running.len() as u64),
-            ("the number of training counts", state.trained.len() as u64, mentor_len as u64),
             ("the number of visit counts", state.visited.len() as u64, mentor_len as u64),
             ("the number of use counts", state.used.len() as u64, mentor_len as u64),
             ("the demonstration's checksum", state.demonstration.into(), demonstration.into()),
@@ -156,7 +159,7 @@ impl Agent {
         }
         if let Some(mentor) = &mut self.mentor {
             mentor.annotations.apply(&parts.annotations)?;
-            mentor.trained.copy_from_slice(&state.trained);
+            mentor.selection.restore(&parts.selection, self.replay.len())?;
             mentor.visited.copy_from_slice(&state.visited);
             mentor.used.copy_from_slice(&state.used);
             mentor.searches_cut_short = state.searches_cut_short;

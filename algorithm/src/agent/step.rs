@@ -5,12 +5,10 @@
 //! then are the next states collected, so that a loss that is not used costs no target. A *term* is one Q-value
 //! with its weight, reward and next state: one for each loss that is used.
 
-use super::{AgentError, MentorSide, Selection, Settings, TrainStats};
-use crate::losses::{
-    Distances, MentorKind, MentorRule, Weights, acts, mentor_term, min_distance, n_step, next_value,
-    target_value,
-};
+use super::{AgentError, MentorSide, Settings, TrainStats};
+use crate::losses::{MentorKind, MentorRule, Weights, acts, mentor_term, n_step, next_value, target_value};
 use crate::replay::Replay;
+use crate::selection::{self, Own};
 use crate::shaping::Shaping;
 use rand::{Rng, RngCore};
 use trestle_proto::config::{Backend, DrawKind};
@@ -261,7 +259,7 @@ impl Step {
                 Some(MentorKind::Bridged) => stats.bridged += 1,
                 None => {}
             }
-            let phi = self.mentor_weight(sample, replay, mentor, settings);
+            let phi = self.mentor_weight(sample, mentor);
             let weights = Weights::of(settings.combine, phi);
             let own = &entry.transition;
             // A one-sided L_m may yet leave its weight to L_o.
@@ -309,63 +307,37 @@ impl Step {
     }
 
     /// The weight Φ of a sample's L_m.
-    fn mentor_weight(
-        &self,
-        sample: &Sample,
-        replay: &Replay,
-        mentor: Option<&MentorSide>,
-        settings: &Settings,
-    ) -> f32 {
-        let (Some(mentor), Some(candidate)) = (mentor, sample.candidate) else {
-            return 0.0;
-        };
-        let of_s_m = values(&self.q, candidate.row, settings.n_actions);
-        let q_m = of_s_m[candidate.action as usize];
-        match settings.selection {
-            Selection::MinDistance => {
-                let entry = replay.get(sample.slot);
-                let q_o = values(&self.q, sample.row, settings.n_actions)[sample.action as usize];
-                let distances = Distances { q_o, past_o: entry.q_past_o, q_m, past_m: entry.q_past_m };
-                f32::from(u8::from(min_distance(&distances)))
-            }
-            Selection::Confidence(confidence) => {
-                let trained = u64::from(mentor.trained[candidate.j]);
-                let q_m_of_a_o = of_s_m[sample.action as usize];
-                confidence.weight(candidate.kind, q_m, q_m_of_a_o, trained, candidate.e_kl)
-            }
-            Selection::Always => 1.0,
+    fn mentor_weight(&self, sample: &Sample, mentor: Option<&MentorSide>) -> f32 {
+        match (mentor, self.seen(sample)) {
+            (Some(mentor), (own, Some(candidate))) => mentor.selection.weight(&own, &candidate),
+            _ => 0.0,
         }
     }
 
-    /// Stores the present values of the samples as their past values. An entry that was drawn twice has been
-    /// compared with the same past value both times.
-    ///
-    /// Where the mentor's action of an entry has changed since (a better estimate, a bridge), the old past value is
-    /// of the old action: (5) does not say which is meant, and the newest one that was looked at is kept (our
-    /// choice).
-    pub(super) fn refresh_past(&self, replay: &mut Replay) {
-        let n_actions = self.n_actions;
-        for sample in &self.samples {
-            if replay.get(sample.slot).mentor.is_none() {
-                continue;
-            }
-            replay.set_q_past_o(sample.slot, values(&self.q, sample.row, n_actions)[sample.action as usize]);
-            if let Some(c) = sample.candidate {
-                replay.set_q_past_m(sample.slot, values(&self.q, c.row, n_actions)[c.action as usize]);
-            }
+    /// A sample as a selection rule sees it, once [`Step::forward_values`] has run.
+    fn seen(&self, sample: &Sample) -> (Own, Option<selection::Candidate<'_>>) {
+        let q = values(&self.q, sample.row, self.n_actions)[sample.action as usize];
+        let candidate = sample.candidate.map(|candidate| selection::Candidate {
+            j: candidate.j,
+            kind: candidate.kind,
+            action: candidate.action,
+            e_kl: candidate.e_kl,
+            q: values(&self.q, candidate.row, self.n_actions),
+        });
+        (Own { slot: sample.slot, action: sample.action, q }, candidate)
+    }
+
+    /// Calls `see` with each sample that has a mentor transition, and with that transition if it has an L_m.
+    pub(super) fn each_with_mentor(&self, mut see: impl FnMut(&Own, Option<&selection::Candidate<'_>>)) {
+        for sample in self.samples.iter().filter(|sample| sample.mentor.is_some()) {
+            let (own, candidate) = self.seen(sample);
+            see(&own, candidate.as_ref());
         }
     }
 
     /// Counts the samples whose loss has a share of a mentor's, by mentor transition.
     pub(super) fn count_used(&self, used: &mut [u64]) {
         self.used.iter().for_each(|&j| used[j as usize] += 1);
-    }
-
-    /// Counts the samples with a mentor's loss, by mentor transition.
-    pub(super) fn count_trained(&self, trained: &mut [u32]) {
-        for candidate in self.samples.iter().filter_map(|sample| sample.candidate) {
-            trained[candidate.j] = trained[candidate.j].saturating_add(1);
-        }
     }
 
     /// The targets of all terms.

@@ -1,6 +1,6 @@
 //! Gradient steps: those that are due, one after the other.
 
-use super::{Agent, AgentError, Selection, TrainStats};
+use super::{Agent, AgentError, TrainStats};
 use trestle_proto::config::TargetKind;
 use trestle_proto::schedule::{gradient_steps_due, guides};
 use trestle_qnet::clip_grad_norm;
@@ -65,10 +65,7 @@ impl Agent {
         );
         if let Some(mentor) = &mut self.mentor {
             step.count_used(&mut mentor.used);
-            match settings.selection {
-                Selection::MinDistance => step.refresh_past(&mut self.replay),
-                Selection::Confidence(_) | Selection::Always => step.count_trained(&mut mentor.trained),
-            }
+            step.each_with_mentor(|own, candidate| mentor.selection.trained(own, candidate));
         }
         step.forward_targets(&self.network, settings)?;
         step.differentiate(&self.network, settings, stats)?;

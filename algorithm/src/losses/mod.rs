@@ -1,4 +1,4 @@
-//! The losses of a sample, as plain functions: which targets, which mentor transition, which of both losses.
+//! The losses of a sample, as plain functions: which targets, which mentor transition, and which weights.
 //!
 //! With y a target under the target network θ⁻ and ℓ the Huber or the squared loss ([`trestle_qnet::Loss`]):
 //!
@@ -9,12 +9,13 @@
 //!
 //! With `learner.n_step` above 1 (not the paper's) y_o looks several steps ahead; y_m and y_feas never do.
 //!
-//! [`target`] computes y, [`mentor`] finds a_m and the next state, [`selection`] weighs L_o against L_m.
+//! [`target`] computes y, [`mentor`] finds a_m and the next state, [`weights`] shares a sample out between
+//! L_o and L_m by the weight that a rule of [`crate::selection`] gives.
 
 pub mod mentor;
-pub mod selection;
 pub mod target;
+pub mod weights;
 
 pub use mentor::{MentorKind, MentorRule, MentorTerm, mentor_term};
-pub use selection::{Confidence, Distances, Weights, acts, min_distance};
 pub use target::{n_step, next_value, target_value};
+pub use weights::{Weights, acts};

@@ -1,17 +1,16 @@
 //! The replay as files: *segments* that never change once they are full, and a *head* with all that does.
 //!
-//! A stored transition stays what it is until it is overwritten; only its past values change. So the history is cut at
-//! multiples of [`Replay::segment_rows`] into segments, which successive checkpoints share, and a checkpoint costs what
-//! has come since the one before. All is little-endian.
+//! A stored transition stays what it is until it is overwritten. So the history is cut at multiples of
+//! [`Replay::segment_rows`] into segments, which successive checkpoints share, and a checkpoint costs what has come since the
+//! one before. All is little-endian.
 //!
-//! The head: 64 bytes of header, then the past values in the order of the slots.
+//! The head is a header of 64 bytes.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 8, 8 | magic `TRREPLAY`, version of this layout `u64` |
 //! | 8, 8, 8, 8 | `obs_dim`, capacity, transitions stored, transitions ever stored, `u64` |
 //! | 16 | zero |
-//! | `stored` words each | Q_o^past, Q_m^past, `f32` |
 //!
 //! A segment: 64 bytes of header, then each array whole, in the order of the global indices.
 //!
@@ -38,7 +37,7 @@ const _: () = assert!(cfg!(target_endian = "little"), "files are little-endian, 
 
 const HEAD: [u8; 8] = *b"TRREPLAY";
 const SEGMENT: [u8; 8] = *b"TRSEGMNT";
-const VERSION: u64 = 2;
+const VERSION: u64 = 3;
 /// Segments that a full replay has, about: few enough for a directory, and small enough for the unfinished one, which
 /// every checkpoint writes anew.
 const SEGMENTS: u64 = 64;
@@ -189,7 +188,7 @@ impl Replay {
             c: self.pushed,
             zero: [0; 2],
         };
-        [bytes_of(&header), cast_slice(&self.q_past_o), cast_slice(&self.q_past_m)].concat()
+        bytes_of(&header).to_vec()
     }
 
     /// The transitions of `span`, all of which are stored, as the bytes of a file.
@@ -224,8 +223,7 @@ impl Replay {
         [start..start + before, 0..span.rows() - before]
     }
 
-    /// Begins to read a replay with the same capacity and `obs_dim` back: all entries get their past values, and are
-    /// otherwise blank. After the last segment [`Replay::relink`] is due. All of `from` must be used up.
+    /// Begins to read a replay with the same capacity and `obs_dim` back: all entries are blank. After the last segment [`Replay::relink`] is due. All of `from` must be used up.
     ///
     /// # Errors
     /// Anything that [`Replay::head`] would not have given.
@@ -238,8 +236,6 @@ impl Replay {
         expect("number of transitions", header.b, stored)?;
         self.pushed = header.c;
         self.resize(stored as usize);
-        from.read_exact(cast_slice_mut(&mut self.q_past_o))?;
-        from.read_exact(cast_slice_mut(&mut self.q_past_m))?;
         end(from, stored)
     }
 
@@ -294,14 +290,12 @@ impl Replay {
         self.action.resize(len, 0);
         self.reward.resize(len, 0.0);
         self.mentor.resize(len, NONE);
-        self.q_past_o.resize(len, f32::NAN);
-        self.q_past_m.resize(len, f32::NAN);
         self.flags.resize(len, 0);
         self.actor.resize(len, 0);
         self.links.blank(len);
     }
 
-    /// Checks all that the rest of the program relies on. Past values may be anything: NaN means "never computed".
+    /// Checks all that the rest of the program relies on.
     ///
     /// # Errors
     /// The first entry that is not sound.

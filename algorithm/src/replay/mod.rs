@@ -4,11 +4,11 @@
 //! *slot* `global index % capacity`. A transition keeps its own copy of s' although it mostly equals the next
 //! one's s: at the ends of episodes, at the seams between actors and at the ring's seam there is no such next
 //! one, and without the exceptions a sample is two plain reads. At 4 features the copy costs 16 of
-//! [`bytes_per_transition`]'s 58 bytes.
+//! [`bytes_per_transition`]'s 50 bytes.
 //!
 //! Beside the observer's transition an entry holds the index of the similar mentor transition that was picked for
-//! it and both past Q-values of (4) and (5). The mentor transition's annotation is *not* copied: it is looked up
-//! when the entry is sampled, so that training sees the newest one (our choice).
+//! it. The mentor transition's annotation is *not* copied: it is looked up when the entry is sampled, so that training sees
+//! the newest one (our choice).
 //!
 //! Every entry also knows its *successor*, the same actor's next transition of the same episode: see `links`.
 
@@ -28,8 +28,8 @@ const _: () = assert!(MAX_ACTORS <= 256);
 
 /// Bytes that one transition with `obs_dim` features takes in the replay.
 pub const fn bytes_per_transition(obs_dim: usize) -> usize {
-    // s, s'; action, reward, mentor index, two past values, link; flags, actor.
-    4 * (2 * obs_dim + 6) + 2
+    // s, s'; action, reward, mentor index, link; flags, actor.
+    4 * (2 * obs_dim + 4) + 2
 }
 
 /// A replay that does not fit into memory.
@@ -53,10 +53,6 @@ pub struct Entry<'a> {
     pub actor: u32,
     /// The similar mentor transition picked for it; none if no mentor state is similar.
     pub mentor: Option<usize>,
-    /// Q_o^past of (4): Q(s_o, a_o) when the entry was stored or last sampled. NaN if it was never computed.
-    pub q_past_o: f32,
-    /// Q_m^past of (5), of the mentor's state and action. NaN if it was never computed.
-    pub q_past_m: f32,
 }
 
 /// The replay. Memory is reserved once; nothing is allocated afterwards.
@@ -72,8 +68,6 @@ pub struct Replay {
     reward: Vec<f32>,
     /// Index of a mentor transition, or `NONE`.
     mentor: Vec<u32>,
-    q_past_o: Vec<f32>,
-    q_past_m: Vec<f32>,
     flags: Vec<u8>,
     actor: Vec<u8>,
     links: Links,
@@ -105,8 +99,6 @@ impl Replay {
             action: room(capacity).ok_or_else(fault)?,
             reward: room(capacity).ok_or_else(fault)?,
             mentor: room(capacity).ok_or_else(fault)?,
-            q_past_o: room(capacity).ok_or_else(fault)?,
-            q_past_m: room(capacity).ok_or_else(fault)?,
             flags: room(capacity).ok_or_else(fault)?,
             actor: room(capacity).ok_or_else(fault)?,
             links: Links::new(room(capacity).ok_or_else(fault)?),
@@ -154,8 +146,7 @@ impl Replay {
     }
 
     /// Stores `transition` of `actor` (below [`MAX_ACTORS`]), in place of the oldest one where the ring is full.
-    /// `mentor` is the index of the picked mentor transition or [`NONE`]. Both past values are NaN until they are
-    /// set. Returns the slot.
+    /// `mentor` is the index of the picked mentor transition or [`NONE`]. Returns the slot.
     pub fn push(&mut self, transition: &Transition<'_>, actor: u32, mentor: u32) -> usize {
         let (slot, d) = (self.slot(self.pushed), self.obs_dim);
         let (flags, actor) = (transition.flags as u8, actor as u8);
@@ -165,8 +156,6 @@ impl Replay {
             self.action.push(transition.action);
             self.reward.push(transition.reward);
             self.mentor.push(mentor);
-            self.q_past_o.push(f32::NAN);
-            self.q_past_m.push(f32::NAN);
             self.flags.push(flags);
             self.actor.push(actor);
         } else {
@@ -175,8 +164,6 @@ impl Replay {
             self.action[slot] = transition.action;
             self.reward[slot] = transition.reward;
             self.mentor[slot] = mentor;
-            self.q_past_o[slot] = f32::NAN;
-            self.q_past_m[slot] = f32::NAN;
             self.flags[slot] = flags;
             self.actor[slot] = actor;
         }
@@ -199,19 +186,7 @@ impl Replay {
             },
             actor: u32::from(self.actor[slot]),
             mentor: (self.mentor[slot] != NONE).then_some(self.mentor[slot] as usize),
-            q_past_o: self.q_past_o[slot],
-            q_past_m: self.q_past_m[slot],
         }
-    }
-
-    /// Sets Q_o^past of slot `slot`.
-    pub fn set_q_past_o(&mut self, slot: usize, q: f32) {
-        self.q_past_o[slot] = q;
-    }
-
-    /// Sets Q_m^past of slot `slot`.
-    pub fn set_q_past_m(&mut self, slot: usize, q: f32) {
-        self.q_past_m[slot] = q;
     }
 
     /// Draws `n` slots uniformly with replacement into `out`, which is cleared first: one 64-bit word of `rng` a

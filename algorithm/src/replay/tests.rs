@@ -22,7 +22,6 @@ struct Plain {
     flags: u32,
     actor: u32,
     mentor: u32,
-    past: [f32; 2],
 }
 
 impl Plain {
@@ -46,7 +45,6 @@ impl Plain {
             flags: t.flags,
             actor: entry.actor,
             mentor: entry.mentor.map_or(NONE, |j| j as u32),
-            past: [entry.q_past_o, entry.q_past_m],
         }
     }
 }
@@ -72,7 +70,6 @@ fn plain() -> impl Strategy<Value = Plain> {
                 flags,
                 actor,
                 mentor: mentor.unwrap_or(NONE),
-                past: [x[0] * x[4], x[1] - x[2]],
             }
         },
     )
@@ -82,10 +79,7 @@ fn filled(capacity: usize, entries: &[Plain]) -> (Replay, VecDeque<Plain>) {
     let mut replay = Replay::new(capacity, DIM).unwrap();
     let mut model = VecDeque::new();
     for entry in entries {
-        let slot = replay.push(&entry.transition(), entry.actor, entry.mentor);
-        assert!(replay.get(slot).q_past_o.is_nan() && replay.get(slot).q_past_m.is_nan());
-        replay.set_q_past_o(slot, entry.past[0]);
-        replay.set_q_past_m(slot, entry.past[1]);
+        replay.push(&entry.transition(), entry.actor, entry.mentor);
         if model.len() == capacity {
             model.pop_front();
         }
@@ -243,7 +237,7 @@ fn histories(steps: &[(u32, bool, u32)]) -> Vec<Plain> {
         *place += if jumps { 100.0 } else { 0.0 };
         let obs = [*place, 0.0];
         *place += 1.0;
-        Plain { obs, next: [*place, 0.0], action: 0, reward: 0.0, flags, actor, mentor: NONE, past: [0.0; 2] }
+        Plain { obs, next: [*place, 0.0], action: 0, reward: 0.0, flags, actor, mentor: NONE }
     };
     steps.iter().map(&mut walk).collect()
 }
@@ -305,16 +299,8 @@ fn only_a_segments_own_name_is_one() {
 
 #[test]
 fn draws_are_uniform_over_what_is_stored() {
-    let entry = Plain {
-        obs: [0.0; 2],
-        next: [0.0; 2],
-        action: 0,
-        reward: 0.0,
-        flags: 0,
-        actor: 0,
-        mentor: NONE,
-        past: [0.0; 2],
-    };
+    let entry =
+        Plain { obs: [0.0; 2], next: [0.0; 2], action: 0, reward: 0.0, flags: 0, actor: 0, mentor: NONE };
     let (replay, _) = filled(8, &vec![entry; 5]);
     let mut rng = Stream::seed_from_u64(3);
     let (mut slots, mut counts) = (Vec::new(), [0u32; 5]);
@@ -329,15 +315,13 @@ fn draws_are_uniform_over_what_is_stored() {
 #[test]
 fn memory_is_accounted_for() {
     let replay = Replay::new(1000, 4).unwrap();
-    assert_eq!(bytes_per_transition(4), 58);
+    assert_eq!(bytes_per_transition(4), 50);
     let reserved = 4
         * (replay.obs.capacity()
             + replay.next.capacity()
             + replay.action.capacity()
             + replay.reward.capacity()
-            + replay.mentor.capacity()
-            + replay.q_past_o.capacity()
-            + replay.q_past_m.capacity())
+            + replay.mentor.capacity())
         + replay.links.reserved()
         + replay.flags.capacity()
         + replay.actor.capacity();

@@ -1,7 +1,7 @@
 //! MANIFEST and COMPLETE: what a checkpoint consists of, and that it is whole.
 
 use super::error::{CheckpointError, contents};
-use super::{COMPLETE, FILES, MANIFEST, PENDING};
+use super::{COMPLETE, FILES, MANIFEST, PENDING, SELECTION};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -12,7 +12,7 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::regular_file;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 8;
+pub const FORMAT: u32 = 9;
 /// The oldest layout whose policy can be read. Runs go on from checkpoints of the present layout alone.
 const OLDEST: u32 = 4;
 /// A file that formats up to 6 had with `run.lag = 1`.
@@ -144,7 +144,7 @@ impl Manifest {
         let refuse = |message: String| Err(contents(path)(message));
         for (at, entry) in self.files.iter().enumerate() {
             let name = entry.name.as_str();
-            let some = [PENDING, FORMER].contains(&name) || Span::of_name(name).is_some();
+            let some = [PENDING, SELECTION, FORMER].contains(&name) || Span::of_name(name).is_some();
             let known = FILES.contains(&name) || some;
             if !known || self.files[..at].iter().any(|other| other.name == entry.name) {
                 return refuse(format!("file {:?} is unknown or named twice", entry.name));

@@ -6,10 +6,11 @@
 //!     model.safetensors               online parameters: layers.0.weight [in, out], layers.0.bias [out], ...
 //!     target.safetensors              target parameters, likewise
 //!     optimizer.safetensors           Adam: m.layers.0.weight, ..., v.layers.0.weight, ..., step [1]
-//!     replay.bin                      what changes in the replay: past values, and how many transitions there are
+//!     replay.bin                      how many transitions the replay has
 //!     replay-<first>-<end>.bin        stored transitions with these numbers, 12 digits each, and their mentor indices
 //!     annotations.bin                 a record for each mentor transition
-//!     agent.bin                       counters, random streams, running episodes, training counts
+//!     selection.bin                   only with a mentor: what the selection rule remembers
+//!     agent.bin                       counters, random streams, running episodes, visits and uses of mentor transitions
 //!     actors.bin                      what each actor gave of itself
 //!     pending.bin                     only before a run's last tick: the batches of that tick, which are not in the replay
 //!     run.bin                         what the loop remembers: evaluations, recorder, and with run.lag = 1 what the actors act with
@@ -75,7 +76,8 @@ const AGENT: &str = "agent.bin";
 const ACTORS: &str = "actors.bin";
 const RUN: &str = "run.bin";
 const PENDING: &str = "pending.bin";
-/// The files of every checkpoint beside MANIFEST and COMPLETE; PENDING and the replay's segments come on top.
+const SELECTION: &str = "selection.bin";
+/// The files of every checkpoint beside MANIFEST and COMPLETE; SELECTION, PENDING and the replay's segments come on top.
 const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
 /// Beginning of the name of a directory that is being written or removed.
 const SCRATCH: &str = ".scratch-";

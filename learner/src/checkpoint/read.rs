@@ -2,8 +2,10 @@
 
 use super::error::{CheckpointError, contents};
 use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
-use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND};
-use super::{ACTORS, AGENT, ANNOTATIONS, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, TARGET};
+use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND, SELECTION_HEAD};
+use super::{
+    ACTORS, AGENT, ANNOTATIONS, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SELECTION, TARGET,
+};
 use super::{directory, file, tensors, ticks};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -178,6 +180,7 @@ pub fn load(
         target: params(dir, &manifest, TARGET, layout)?,
         adam: tensors::decode_adam(layout, &optimizer).map_err(contents(&dir.join(OPTIMIZER)))?,
         annotations: annotations(dir, &manifest)?,
+        selection: selection(dir, &manifest)?,
     };
     agent.restore(&parts).map_err(agent_fault)?;
     Ok(Loaded {
@@ -257,6 +260,14 @@ fn frame<T: DeserializeOwned>(
 
 fn annotations(dir: &Path, manifest: &Manifest) -> Result<Vec<u32>, CheckpointError> {
     words(dir, entry(dir, manifest, ANNOTATIONS)?, ANNOTATIONS_HEAD)
+}
+
+/// What the selection rule remembers; nothing where no file is named.
+fn selection(dir: &Path, manifest: &Manifest) -> Result<Vec<u8>, CheckpointError> {
+    let Some(entry) = manifest.entry(SELECTION) else { return Ok(Vec::new()) };
+    let bytes = file::read_all(dir, entry)?;
+    let memory = bytes.strip_prefix(&SELECTION_HEAD).map(<[u8]>::to_vec);
+    memory.ok_or_else(|| contents(&dir.join(SELECTION))("another kind of file, or another version of it"))
 }
 
 /// The batches of a tick of `plan`'s run.

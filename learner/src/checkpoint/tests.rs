@@ -66,6 +66,7 @@ fn everything(
     }
     let target = agent.network().with_params(|_, target| target.to_vec()).unwrap();
     replay.extend_from_slice(bytemuck::cast_slice(&target));
+    replay.extend(agent.selection().unwrap_or_default());
     (agent.weights_sha256(), agent.state(), agent.adam().clone(), agent.annotation_records(), replay)
 }
 
@@ -126,7 +127,7 @@ proptest! {
         let mut names: Vec<_> = fs::read_dir(&dir).unwrap().map(|e| e.unwrap().file_name()).collect();
         names.sort();
         let segments = names.iter().filter(|name| Span::of_name(name.to_str().unwrap()).is_some()).count();
-        prop_assert!(segments > 1 && names.len() == 10 + segments);
+        prop_assert!(segments > 1 && names.len() == 11 + segments);
         let path = dir.join(&names[file.index(names.len())]);
         let mut bytes = fs::read(&path).unwrap();
         let at = at.index(bytes.len());

@@ -3,7 +3,8 @@
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SCRATCH, TARGET,
+    ACTORS, AGENT, ANNOTATIONS, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SCRATCH,
+    SELECTION, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use serde::Serialize;
@@ -18,11 +19,13 @@ use trestle_proto::own_file;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
-pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 5 };
+pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 6 };
 pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
 pub(super) const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
 /// First words of `annotations.bin`: magic, and the version of the records' layout.
 pub(super) const ANNOTATIONS_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRAN"), 1];
+/// The same of `selection.bin`, whose contents are the rule's own.
+pub(super) const SELECTION_HEAD: [u8; 8] = *b"TRSE\x01\0\0\0";
 /// The same of `pending.bin`, whose parts are those of [`trestle_proto::observe`].
 pub(super) const PENDING_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRPE"), 1];
 
@@ -126,6 +129,9 @@ impl Frozen {
         let annotations =
             [bytemuck::cast_slice(&ANNOTATIONS_HEAD), bytemuck::cast_slice(&records_of)].concat();
         new.push((ANNOTATIONS.into(), annotations));
+        if let Some(memory) = agent.selection() {
+            new.push((SELECTION.into(), [&SELECTION_HEAD[..], &memory].concat()));
+        }
         new.push(frame(AGENT, AGENT_KIND, &agent.state())?);
         new.push(frame(ACTORS, ACTORS_KIND, &cut.actors)?);
         new.push(frame(RUN, RUN_KIND, &cut.run)?);

@@ -1,6 +1,6 @@
 //! What a run is called: its algorithm, and what it has that the paper's has not.
 
-use super::{Algo, CombineKind, Config, DrawKind, GuideKind, SelectionKind};
+use super::{Algo, CombineKind, Config, DrawKind, GuideKind, SelectionRule};
 
 impl Config {
     /// What guides exploration, if anything does. Actions are known only to algorithms that have a mentor.
@@ -31,8 +31,9 @@ impl Config {
         let (mentor, with) = (&self.mentor, self.run.algo.has_mentor());
         let learned = self.guide() == Some(GuideKind::Learned);
         let imitates = learned && self.mentor.learned.imitate > 0.0;
+        let rule = SelectionRule::suffix(&mentor.selection);
         let suffixes = [
-            (with && mentor.selection == SelectionKind::Always, "+always"),
+            (with, rule.as_str()),
             (with && mentor.combine == CombineKind::Beside, "+beside"),
             (with && mentor.draw == DrawKind::Uniform, "+uniform"),
             (with && mentor.one_sided, "+one-sided"),

@@ -1,12 +1,12 @@
 //! Rules over several settings, which no setting's own declaration can state.
 
 use super::accepts::{at_least, between};
-use super::{Algo, Config, ConfigError, DrawKind, Field, GuideKind, HazardKind, Mode, SelectionKind, refuse};
+use super::{Algo, Config, ConfigError, Field, GuideKind, HazardKind, Mode, refuse};
 use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
 
 impl Config {
-    /// Checks every setting, and every combination of settings, but for the environment's own, which only the environment
-    /// knows.
+    /// Checks every setting, and every combination of settings, but for those that only the environment or the
+    /// selection rule knows.
     ///
     /// # Errors
     /// The first setting that is not accepted, with what is.
@@ -72,9 +72,6 @@ impl Config {
 
     fn check_mentor(&self) -> Result<(), ConfigError> {
         let (mentor, algo, potential) = (&self.mentor, self.run.algo, self.shaping.potential);
-        // Its past values belong to a stored pair of transitions.
-        let paired = mentor.draw == DrawKind::Similar || mentor.selection != SelectionKind::MinDistance;
-        require(paired, "mentor.draw", mentor.draw, "`similar` with mentor.selection = min-distance")?;
         // The mentor's losses know unshaped rewards only: the two would disagree about every value.
         let accepted = format!("0 with run.algo = {algo}");
         require(!(self.shaped() && algo.has_mentor()), "shaping.potential", potential, &accepted)?;

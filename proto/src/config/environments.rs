@@ -1,8 +1,9 @@
-//! What reading a configuration must know of the environments that it may name, and how their tables are found.
+//! What reading a configuration must know of the environments and the selection rules that it may name, and how the tables of
+//! environments are found.
 
 use super::environment::{SHARED, Shared};
 use super::error::unknown_key;
-use super::{Config, ConfigError, Field, Preset, Setting, expansion, refuse};
+use super::{Config, ConfigError, Field, Preset, SelectionRule, Setting, expansion, refuse};
 use crate::names;
 use toml::{Table, Value};
 
@@ -37,6 +38,9 @@ pub trait Environments {
 
     /// The presets that the environments bring.
     fn presets(&self) -> Vec<Preset>;
+
+    /// The rules that `mentor.selection` may name, those of the program's algorithm; none if every name is taken as it is.
+    fn selections(&self) -> Vec<SelectionRule>;
 }
 
 impl Environments for () {
@@ -63,6 +67,10 @@ impl Environments for () {
     fn presets(&self) -> Vec<Preset> {
         Vec::new()
     }
+
+    fn selections(&self) -> Vec<SelectionRule> {
+        Vec::new()
+    }
 }
 
 /// Every setting there is: those of all environments, and those of their own tables.
@@ -73,6 +81,7 @@ pub fn declared(environments: &dyn Environments) -> Vec<Setting> {
         setting.accepted = names.join(", ");
         setting.choices = names.iter().map(|name| (*name, environments.about(name))).collect();
     }
+    SelectionRule::declare(&environments.selections(), &mut all);
     let own = names.iter().flat_map(|name| environments.declared(name));
     let after = all.iter().rposition(|setting| setting.key.starts_with("env.")).map_or(0, |last| last + 1);
     all.splice(after..after, own);

@@ -2,7 +2,7 @@
 
 use super::environments::{chosen, complete, expand};
 use super::error::{unknown_key, unknown_source};
-use super::{Algo, Choice, Config, ConfigError, Environments, Field, before, refuse};
+use super::{Algo, Choice, Config, ConfigError, Environments, Field, SelectionRule, before, refuse};
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
 use crate::regular_file::{self, FileError};
@@ -115,6 +115,10 @@ fn from_layers(
     let mut config = decode(table)?;
     flags(&mut config);
     config.validate()?;
+    let rules = environments.selections();
+    if !rules.is_empty() {
+        SelectionRule::chosen(&rules, &config.mentor)?;
+    }
     environments.check(&config)?;
     Ok(config)
 }
@@ -242,7 +246,7 @@ mod tests {
     use super::*;
     use crate::config::setting::as_toml;
     use crate::config::testing::{Two, with};
-    use crate::config::{Algo, EncodingKind, SelectionKind, Threshold, declared};
+    use crate::config::{Algo, EncodingKind, Threshold, declared};
 
     fn refused(overrides: &[&str]) -> String {
         with("maze30", overrides).unwrap_err().to_string()
@@ -273,7 +277,7 @@ mod tests {
         assert_eq!(config.learner.hidden, [16, 8]);
         assert_eq!(config.learner.lr, 2e-2);
         assert_eq!(config.env.own["map"], Value::from("some/path.txt"));
-        assert_eq!(config.mentor.selection, SelectionKind::Confidence);
+        assert_eq!(config.mentor.selection, "confidence");
     }
 
     #[test]

@@ -43,11 +43,11 @@ settings! {
         cross_reference: bool = true;
         /// The reward in the mentor's loss.
         reward: RewardKind = RewardKind::Matched;
-        /// How a sample's loss is chosen.
-        selection: SelectionKind = SelectionKind::MinDistance;
+        /// The rule that weighs a sample's two losses.
+        selection: String = "min-distance".into(), any("the name of a selection rule");
         /// Whether the mentor's loss takes the place of the observer's or is added to it.
         combine: CombineKind = CombineKind::Instead;
-        /// Which mentor transition belongs to a sample: a similar one, or any. Not `uniform` with `selection = "min-distance"`.
+        /// Which mentor transition belongs to a sample: a similar one, or any.
         draw: DrawKind = DrawKind::Similar;
         /// Whether the mentor's loss acts only where its target is above the present value.
         one_sided: bool = false;
@@ -131,18 +131,6 @@ choices! {
         Matched = "matched",
         /// The sampled observer transition's own reward, as the paper writes (3) and (6).
         Observer = "observer",
-    }
-}
-
-choices! {
-    /// How a sample's loss is chosen.
-    pub enum SelectionKind {
-        /// The loss whose Q-value moved less, (4) and (5).
-        MinDistance = "min-distance",
-        /// Both, weighted by the confidence Φ in the mentor (arXiv 2511.03616).
-        Confidence = "confidence",
-        /// The mentor's wherever there is one; not the paper's.
-        Always = "always",
     }
 }
 

@@ -20,6 +20,7 @@ mod learner;
 mod load;
 mod mentor;
 mod run;
+mod selection;
 mod setting;
 #[cfg(test)]
 mod testing;
@@ -35,10 +36,10 @@ pub use learned::Learned;
 pub use learner::{Backend, Exploration, GuideKind, Learner, LossKind, TargetKind};
 pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
-    CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, SelectionKind,
-    Shaping,
+    CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, Shaping,
 };
 pub use run::{Algo, IsaKind, Mode, Run};
+pub use selection::{SelectionRule, listed};
 pub use setting::{Choice, Field, Setting, expansion};
 pub use threshold::Threshold;
 pub use toml::{Table, Value};

@@ -190,6 +190,9 @@ pub trait Choice: Copy + Eq + Send + Sync + 'static {
     /// All values: value, word and help.
     const ALL: &'static [(Self, &'static str, &'static str)];
 
+    /// All values.
+    const VALUES: &'static [Self];
+
     /// The value's word.
     fn name(self) -> &'static str {
         Self::ALL.iter().find(|(value, ..)| *value == self).map_or("", |(_, word, _)| word)
@@ -405,6 +408,7 @@ macro_rules! choices {
         impl $crate::config::Choice for $name {
             const ALL: &'static [(Self, &'static str, &'static str)] =
                 &[$((Self::$variant, $word, concat!($($help),+))),+];
+            const VALUES: &'static [Self] = &[$(Self::$variant),+];
         }
 
         impl $name {

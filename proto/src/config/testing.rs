@@ -1,7 +1,10 @@
 //! Two made-up environments for the tests of reading configurations.
 
 use super::accepts::{any, between};
-use super::{Config, ConfigError, Environments, Field, Preset, Setting, Table, Value, load, refuse};
+use super::{
+    CombineKind, Config, ConfigError, DrawKind, Environments, Field, Preset, RewardKind, SelectionRule,
+    Setting, Table, Value, load, refuse,
+};
 use crate::settings;
 use std::collections::BTreeMap;
 
@@ -71,6 +74,16 @@ impl Environments for Two {
             },
             Preset { name: "cart", text: "# A cart.\n[run]\nepisodes = 9\n[env]\nname = \"cart-pole\"\n" },
         ]
+    }
+
+    fn selections(&self) -> Vec<SelectionRule> {
+        let (draws, combines) =
+            (&[DrawKind::Similar, DrawKind::Uniform], &[CombineKind::Instead, CombineKind::Beside]);
+        let rewards = &[RewardKind::Matched, RewardKind::Observer];
+        let rule =
+            |name| SelectionRule { name, about: "a rule", remembers: "nothing", draws, combines, rewards };
+        let paired = SelectionRule { draws: &[DrawKind::Similar], ..rule("min-distance") };
+        vec![paired, rule("confidence"), rule("always")]
     }
 }
 

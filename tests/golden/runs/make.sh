@@ -13,7 +13,7 @@ cd "$here"
 version=$("$program" --version | sed -n 's/^trestle \([0-9]*\.[0-9]*\)\..*/\1/p')
 rm -rf "$version" "$version.txt"
 # command.txt has the program's name without the place of this checkout.
-(exec -a trestle "$program" train maze-small --seed 7 --env-steps 640 --set env.map=random:1:5x5 --set env.step_limit=60 \
+(exec -a trestle "$program" train maze-small --algo ha-diiqn --seed 7 --env-steps 640 --set env.map=random:1:5x5 --set env.step_limit=60 \
     --set 'learner.hidden=[8]' --set learner.lr=0.005 --set learner.warmup=100 --set exploration.epsilon_decay_steps=500 \
     --set eval.every=2 --set checkpoint.keep=1 --quiet --out "$version")
 "$program" eval "$version" >"$version.txt"

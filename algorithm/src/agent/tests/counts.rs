@@ -184,8 +184,8 @@ fn confidence_counts_the_samples_with_a_mentors_loss() {
         agent.ingest(&batch, observed.as_ref()).unwrap();
         total.merge(&agent.train(|| ()).unwrap());
     }
-    let trained = &agent.mentor.as_ref().unwrap().trained;
-    let sum: u64 = trained.iter().map(|&count| u64::from(count)).sum();
+    let trained = agent.selection().unwrap();
+    let sum: u64 = trained.as_chunks::<4>().0.iter().map(|&word| u64::from(u32::from_le_bytes(word))).sum();
     assert_eq!(sum, total.feasible + total.bridged);
     assert!(total.mentor_frac() > 0.05 && total.mentor_frac() < 1.0, "{}", total.mentor_frac());
 }

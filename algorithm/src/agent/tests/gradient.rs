@@ -1,7 +1,7 @@
 //! The gradient of a step, against a naive computation of every sample's loss and candle's autodiff.
 
 use super::{agent, live};
-use crate::agent::{Agent, Selection, TrainStats};
+use crate::agent::{Agent, TrainStats};
 use crate::testing::{Walked, World};
 use proptest::prelude::*;
 use trestle_proto::NONE;
@@ -93,10 +93,24 @@ fn naive_return(agent: &Agent, steps: &[Walked], at: usize) -> (f64, f64, Walked
     (sum, discount, last)
 }
 
+const C_MAX: u32 = 9;
+
+/// Word `at` of what a selection rule remembers.
+fn word(memory: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(memory[4 * at..][..4].try_into().unwrap())
+}
+
+/// Q_o^past and Q_m^past of `slot`, as `min-distance` remembers them.
+fn past(agent: &Agent, slot: usize) -> [f32; 2] {
+    let memory = agent.selection().unwrap();
+    [slot, agent.replay().len() + slot].map(|at| f32::from_bits(word(&memory, at)))
+}
+
 /// All terms of the drawn samples; none if a choice hangs on the last bits. `drawn`: the mentor transitions drawn with
 /// them, if any were.
 fn naive_terms(
     agent: &Agent,
+    selection: &str,
     world: &World,
     slots: &[u32],
     drawn: &[u32],
@@ -135,23 +149,25 @@ fn naive_terms(
         if let Some((m, j, (action, next, terminal, reward, feasible))) = mentor {
             let of_s_m = naive_q(agent, online, m.transitions.state(j))?;
             let q_m = of_s_m[action as usize];
-            phi = match settings.selection {
-                Selection::MinDistance => {
-                    let move_o = (q_o - f64::from(entry.q_past_o)).abs();
-                    let move_m = (q_m - f64::from(entry.q_past_m)).abs();
+            let memory = m.selection.save();
+            phi = match selection {
+                "min-distance" => {
+                    let [past_o, past_m] = past(agent, slot as usize);
+                    let (move_o, move_m) = ((q_o - f64::from(past_o)).abs(), (q_m - f64::from(past_m)).abs());
                     if (move_o - move_m).abs() < 1e-6 {
                         return None;
                     }
                     f64::from(u8::from(move_m < move_o))
                 }
-                Selection::Confidence(c) => {
-                    let sigmoid = 1.0 / (1.0 + (-c.beta * (q_m - of_s_m[own.action as usize])).exp());
-                    let count = (m.trained[j] as f64).min(c.c_max as f64);
-                    let phi = sigmoid * (1.0 + count).ln() / (1.0 + c.c_max as f64).ln();
-                    let zeta = 1.0 - f64::from(m.annotations.errors()[j]) / c.e_max;
+                "confidence" => {
+                    // β and e_max are the defaults, c_max is the test's.
+                    let sigmoid = 1.0 / (1.0 + (of_s_m[own.action as usize] - q_m).exp());
+                    let count = f64::from(word(&memory, j)).min(f64::from(C_MAX));
+                    let phi = sigmoid * (1.0 + count).ln() / (1.0 + f64::from(C_MAX)).ln();
+                    let zeta = 1.0 - f64::from(m.annotations.errors()[j]);
                     if feasible { phi.min(zeta) } else { phi }
                 }
-                Selection::Always => 1.0,
+                _ => 1.0,
             };
             let (obs, target) = (m.transitions.state(j).to_vec(), y(reward, terminal, &next)?);
             if settings.one_sided {
@@ -205,7 +221,7 @@ proptest! {
             format!("learner.n_step={n_step}"),
             format!("run.actors={actors}"),
             "learner.huber_delta=0.7".into(),
-            "mentor.c_max=9".into(),
+            format!("mentor.c_max={C_MAX}"),
         ];
         let (mut agent, mut world) = agent(&sets.each_ref().map(String::as_str), seed);
         live(&mut agent, &mut world, 12);
@@ -223,7 +239,7 @@ proptest! {
         step.differentiate(network, settings, &mut stats).unwrap();
         let grad = step.grad.clone();
 
-        let Some(naive) = naive_terms(&agent, &world, &slots, &drawn, &online, &target) else {
+        let Some(naive) = naive_terms(&agent, selection, &world, &slots, &drawn, &online, &target) else {
             return Err(TestCaseError::reject("it hangs on the last bits"));
         };
         let x: Vec<f32> = naive.iter().flat_map(|t| t.obs.iter().map(|v| v / 4.0)).collect();
@@ -278,37 +294,37 @@ fn past_values_are_set_at_insertion_and_refreshed_when_drawn() {
         .map(|i| agent.replay().slot(i))
         .collect();
     for (at, &slot) in slots.iter().enumerate() {
-        let entry = agent.replay().get(slot);
+        let (entry, [past_o, past_m]) = (agent.replay().get(slot), past(&agent, slot));
         let j = observed.as_ref().unwrap().mentor[at];
         assert_eq!(entry.mentor, (j != NONE).then_some(j as usize));
         let Some(j) = entry.mentor else {
-            assert!(entry.q_past_o.is_nan());
+            assert!(past_o.is_nan());
             continue;
         };
-        close(entry.q_past_o, q(&agent, entry.transition.obs, entry.transition.action));
+        close(past_o, q(&agent, entry.transition.obs, entry.transition.action));
         let m = agent.mentor.as_ref().unwrap();
         match naive_mentor(&agent, &m.annotations, &m.transitions, j, 0.0) {
             Some((action, ..)) => {
                 with_term += 1;
-                close(entry.q_past_m, q(&agent, m.transitions.state(j), action));
+                close(past_m, q(&agent, m.transitions.state(j), action));
             }
-            None => assert!(entry.q_past_m.is_nan()),
+            None => assert!(past_m.is_nan()),
         }
     }
     assert!(with_term > 0);
 
-    let before: Vec<f32> = (0..40).map(|slot| agent.replay().get(slot).q_past_o).collect();
+    let before: Vec<f32> = (0..40).map(|slot| past(&agent, slot)[0]).collect();
     let weights = agent.weights().to_vec();
     let mut stats = TrainStats::default();
     agent.gradient_step(&mut stats).unwrap();
     let drawn = agent.step.slots().to_vec();
     for (slot, before) in before.iter().enumerate() {
-        let entry = agent.replay().get(slot);
+        let (entry, [past_o, _]) = (agent.replay().get(slot), past(&agent, slot));
         if entry.mentor.is_some() && drawn.contains(&(slot as u32)) {
             let t = entry.transition;
-            close(entry.q_past_o, naive_q(&agent, &weights, t.obs).unwrap()[t.action as usize] as f32);
+            close(past_o, naive_q(&agent, &weights, t.obs).unwrap()[t.action as usize] as f32);
         } else {
-            assert_eq!(entry.q_past_o.to_bits(), before.to_bits());
+            assert_eq!(past_o.to_bits(), before.to_bits());
         }
     }
 }
