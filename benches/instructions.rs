@@ -13,9 +13,9 @@ use trestle_bench::server::{BATCH, DIM, Server};
 use trestle_mentor_server::run::mentor_of;
 use trestle_proto::batch::Batch;
 use trestle_proto::config;
+use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::observe::Observed;
 use trestle_proto::orders::Collect;
-use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_qnet::{Isa, Kernels};
 
 fn main() -> Result<()> {
@@ -72,25 +72,15 @@ fn ticks(times: u64) -> Result<()> {
     let states = registry().plan_states(&config.env, &config.mentor.actions)?;
     demonstration.push_trajectory(&states.concat(), true)?;
     let mentors = vec![MentorPart { name: "plan".into(), transitions: demonstration.n_transitions() }];
-    let plan = RunPlan {
-        history: 0,
-        run: 1,
-        config,
-        spec,
-        mentors,
-        waypoints: None,
-        resume_tick: None,
-        restarts: 0,
-        generation: 0,
-    };
+    let experiment = Experiment { config, spec, mentors, waypoints: None };
 
-    let mut worker = Worker::new(&plan, 0)?;
-    let mut mentor = mentor_of(&plan, &demonstration)?;
-    let mut agent = Agent::new(&plan, Some(demonstration.transitions()))?;
+    let mut worker = Worker::new(&experiment, 0)?;
+    let mut mentor = mentor_of(&experiment, &demonstration)?;
+    let mut agent = Agent::new(&experiment, Some(demonstration.transitions()))?;
     let (mut batch, mut observed) = (Batch::default(), Observed::default());
     for number in 1..=times {
         let env_steps = agent.counters().env_steps;
-        let steps = plan.config.run.rollout;
+        let steps = experiment.config.run.rollout;
         let order = Collect { run: 1, round: number, env_steps, steps, ..Collect::default() };
         worker.collect(agent.acting(), &order, &mut batch)?;
         mentor.observe(env_steps, 0, &batch, &mut observed)?;

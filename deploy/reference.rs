@@ -18,27 +18,28 @@ use trestle_mentor_server::demo_file;
 use trestle_mentor_server::run::mentor_of;
 use trestle_proto::batch::Batch;
 use trestle_proto::observe::Observed;
-use trestle_proto::plan::RunPlan;
 
 /// Trains the prepared run in this process.
 pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
     let (plan, dir) = (prepared.plan(), prepared.dir());
+    let experiment = &plan.experiment;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in asking() {
         signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
     }
     drop(held);
 
-    let mut workers =
-        (0..plan.config.run.actors).map(|index| Worker::new(plan, index)).collect::<Result<Vec<_>, _>>()?;
+    let mut workers = (0..experiment.config.run.actors)
+        .map(|index| Worker::new(experiment, index))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut mentor = mentor(prepared)?;
-    let display = Display::new(&plan.config.run, quiet);
+    let display = Display::new(&experiment.config.run, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
     let mut session = Session::new(plan, dir, transitions, |progress| display.update(progress))?;
     session.start()?;
     prepared.commit()?;
 
-    let lag = plan.config.run.lag == 1;
+    let lag = experiment.config.run.lag == 1;
     let mut batches = vec![Batch::default(); workers.len()];
     let mut observed = Observed::default();
     // What the actors act with: the newest, or with a lag that of one tick earlier.
@@ -91,10 +92,10 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
 
 /// The mentor of the run, if its algorithm has one, from the demonstration in the run's directory.
 fn mentor(prepared: &Prepared) -> Result<Option<Mentor>> {
-    let plan: &RunPlan = prepared.plan();
-    if plan.mentor_len() == 0 {
+    let experiment = prepared.experiment();
+    if experiment.mentor_len() == 0 {
         return Ok(None);
     }
     let demonstration = demo_file::read(&prepared.dir().demonstration())?;
-    Ok(Some(mentor_of(plan, &demonstration)?))
+    Ok(Some(mentor_of(experiment, &demonstration)?))
 }

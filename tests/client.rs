@@ -42,7 +42,7 @@ fn ask(dir: &RunDir, patience: Duration, leave: impl Fn() -> bool) {
     let mut client = None;
     wait_until(TRIES, || {
         let plan = dir.read_plan().ok();
-        client = plan.and_then(|plan| QueryClient::new(&Domain::of(plan.run), &plan).ok());
+        client = plan.and_then(|plan| QueryClient::new(&Domain::of(plan.life.run), &plan).ok());
         client.is_some() || leave()
     });
     let Some(client) = client else { return };

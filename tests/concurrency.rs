@@ -199,7 +199,7 @@ const STRANGER: &str = "TRESTLE_TEST_STRANGER";
 fn users_do_not_see_each_other() {
     if let Some(dir) = std::env::var_os(STRANGER) {
         let plan = RunDir::new(dir).read_plan().unwrap();
-        println!("refused: {}", QueryClient::new(&Domain::of(plan.run), &plan).unwrap_err());
+        println!("refused: {}", QueryClient::new(&Domain::of(plan.life.run), &plan).unwrap_err());
         return;
     }
     let place = Place::new();
@@ -210,7 +210,7 @@ fn users_do_not_see_each_other() {
     let runs = [&one, &two].map(|user| user.stopped_run(&args("3")));
     let [first, second] = [runs[0].1.clone(), runs[1].1.clone()];
     for (user, own, other, others) in [(&one, &first, &two, &second), (&two, &second, &one, &first)] {
-        let run = others.read_plan().unwrap().run;
+        let run = others.read_plan().unwrap().life.run;
         // Not even the names, unless their user lets it in.
         let listed = user.start_program("ls", &[others.root().to_str().unwrap()]).finish();
         assert!(!listed.status.success() && listed.stdout.is_empty(), "{listed:?}");
@@ -268,7 +268,7 @@ fn users_do_not_see_each_other() {
         assert_eq!(result(&dir).restarts, 0);
     }
     for (user, dir) in [(&one, &first), (&two, &second)] {
-        let (root, files) = user.shared(dir.read_plan().unwrap().run);
+        let (root, files) = user.shared(dir.read_plan().unwrap().life.run);
         assert!(!root.exists() && files.is_empty(), "{files:?}");
         user.doctor(&[], 0);
     }
@@ -292,7 +292,7 @@ fn a_trap_in_the_place_of_a_run_is_not_stepped_into() {
         user.start(&[&args[..], more].concat()).finish().ok();
     };
     train(&["--env-steps", "1024"]);
-    let run = RunDir::new(&out).read_plan().unwrap().run;
+    let run = RunDir::new(&out).read_plan().unwrap().life.run;
     let (trap, _) = user.shared(run);
     symlink(&precious, &trap).unwrap();
     for more in [&["doctor"][..], &["doctor", "--fix"]] {

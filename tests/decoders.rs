@@ -19,6 +19,7 @@ use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::{self, Batch, BatchHeader, KNOWN_FLAGS};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::{Answers, ObserveAnswer, Part};
 use trestle_proto::orders::Orders;
@@ -141,21 +142,7 @@ fn worker() -> Worker {
     config.env.own.insert("map_text".into(), "S.\n.G\n".into());
     let env = registry().build(&config.env).unwrap();
     let spec = env.spec().clone();
-    Worker::new(
-        &RunPlan {
-            history: 0,
-            run: 7,
-            config,
-            spec,
-            mentors: Vec::new(),
-            waypoints: None,
-            resume_tick: None,
-            restarts: 0,
-            generation: 0,
-        },
-        0,
-    )
-    .unwrap()
+    Worker::new(&Experiment { config, spec, mentors: Vec::new(), waypoints: None }, 0).unwrap()
 }
 
 /// A map's text.

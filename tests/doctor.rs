@@ -88,7 +88,7 @@ fn a_living_run_is_alive_from_wherever_its_shared_memory_is_seen() {
     for args in [&["doctor"][..], &["doctor", "--fix"]] {
         let outcome = start_under(&[&container[..], &[&script, "sh"]].concat(), args).finish();
         assert!(outcome.stdout.contains("runs in progress: 1"), "{outcome:?}");
-        let name = format!("{:08x}", dir.read_plan().unwrap().run);
+        let name = format!("{:08x}", dir.read_plan().unwrap().life.run);
         assert!(!outcome.stdout.contains(&name), "{outcome:?}");
     }
     assert_eq!(crate::util::domain(&dir).shared_memory().unwrap(), needed);

@@ -190,10 +190,10 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         let before = newest_checkpoint(&dir);
         run.wait_for("a checkpoint", || newest_checkpoint(&dir) > before);
         let plan = dir.read_plan().unwrap();
-        assert_eq!(plan.restarts, restarts as u64);
-        let mut rogue = IceoryxActor::new(&Domain::of(plan.run), &plan, 0).unwrap();
+        assert_eq!(plan.life.restarts, restarts as u64);
+        let mut rogue = IceoryxActor::new(&Domain::of(plan.life.run), &plan, 0).unwrap();
         let mut batch = Batch::default();
-        let mut header = BatchHeader { run: plan.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
+        let mut header = BatchHeader { run: plan.life.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
         let mut reward = 0.0;
         spoil(&mut header, &mut reward);
         batch.prepare(header);
@@ -201,7 +201,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         batch.set(0, &Transition { obs: &obs, next_obs: &obs, action: 0, reward, flags });
         // He takes no orders, which keeps nobody waiting.
         rogue.send_batch(&batch).unwrap();
-        run.wait_for("the learner to notice", || dir.read_plan().unwrap().restarts > restarts as u64);
+        run.wait_for("the learner to notice", || dir.read_plan().unwrap().life.restarts > restarts as u64);
     }
     survived(&place, run, "run", 5, &undisturbed);
     let log = fs::read_to_string(dir.log("supervisor")).unwrap();
@@ -228,7 +228,7 @@ fn clients_that_do_not_listen_are_their_own_affair() {
     run.wait_for("an evaluation", || evaluations(&dir) > 0);
     let plan = dir.read_plan().unwrap();
     let clients: Vec<QueryClient> =
-        (0..4).map(|_| QueryClient::new(&Domain::of(plan.run), &plan).unwrap()).collect();
+        (0..4).map(|_| QueryClient::new(&Domain::of(plan.life.run), &plan).unwrap()).collect();
     let request = QueryRequest { op: STATS, obs_dim: 2, ..QueryRequest::default() };
     for _ in 0..50 {
         for client in &clients {

@@ -67,7 +67,7 @@ fn nobody_elses_link_is_followed() {
     }
     let identity = |name: &str| {
         place.train(name, &ARGS);
-        place.run(name).read_plan().unwrap().run
+        place.run(name).read_plan().unwrap().life.run
     };
     let [first, second] = ["first", "second"].map(identity);
     assert!(first != second && first.max(second) >> 32 > 0, "{first:x} {second:x}");

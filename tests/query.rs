@@ -50,7 +50,7 @@ impl Asker {
 
     /// One question of each kind, every answer checked.
     fn round(&mut self, transitions: &MentorTransitions) -> Result<Stats, LinkError> {
-        let len = self.plan.mentor_len() as u32;
+        let len = self.plan.experiment.mentor_len() as u32;
         self.ask(STATS, 0, 0, &[])?;
         let [mentor, feasible, bridged, stored, bridge_len_mean, e_kl_mean] = self.answer[..] else {
             panic!("six words are expected: {:?}", self.answer);
@@ -61,7 +61,7 @@ impl Asker {
         assert!(stats.feasible + stats.bridged <= len && stats.bridge_len_mean >= 0.0, "{stats:?}");
 
         assert_eq!(self.ask(ANNOTATIONS, 0, len, &[])?, len);
-        let mut table = AnnotationTable::new(len as usize, 2, self.plan.spec.n_actions());
+        let mut table = AnnotationTable::new(len as usize, 2, self.plan.experiment.spec.n_actions());
         table.apply(&self.answer).unwrap();
 
         let j = stats.stored as usize % transitions.len();
@@ -83,7 +83,7 @@ impl Asker {
 
     /// Requests that cannot be right.
     fn nonsense(&mut self) {
-        let len = self.plan.mentor_len() as u32;
+        let len = self.plan.experiment.mentor_len() as u32;
         let cases: [(u32, u32, u32, &[f32], &str); 9] = [
             (99, 0, 0, &[], "unknown operation"),
             (0, 0, 0, &[], "unknown operation"),
@@ -115,7 +115,7 @@ fn a_client_gets_sound_answers_and_the_run_does_not_notice() {
     let dir = place.run("asked");
     let mut asker = Asker::wait_for(&mut run, &dir);
 
-    let len = asker.plan.mentor_len() as u32;
+    let len = asker.plan.experiment.mentor_len() as u32;
     assert_eq!(asker.ask(TRANSITIONS, 0, len, &[]).unwrap(), len);
     let mut transitions = MentorTransitions::new(2);
     transitions.decode(&asker.answer).unwrap();
@@ -149,7 +149,7 @@ fn clients_do_not_harm_each_other() {
 
     let patient = || {
         let mut asker = Asker::of(&dir).unwrap();
-        let len = asker.plan.mentor_len() as u32;
+        let len = asker.plan.experiment.mentor_len() as u32;
         let mut transitions = MentorTransitions::new(2);
         asker.ask(TRANSITIONS, 0, len, &[]).unwrap();
         transitions.decode(&asker.answer).unwrap();

@@ -113,7 +113,7 @@ impl Sample {
 
 /// The run's place by its newest plan, which is replaced at each restart.
 fn domain(dir: &RunDir) -> Option<Domain> {
-    dir.read_plan().ok().map(|plan| Domain::of(plan.run))
+    dir.read_plan().ok().map(|plan| Domain::of(plan.life.run))
 }
 
 fn pss_kib(process: &Path) -> Option<u64> {

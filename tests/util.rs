@@ -308,7 +308,7 @@ pub(crate) fn kill_all(run: Process, dir: &RunDir) {
 
 /// The place of the run's shared memory.
 pub(crate) fn domain(dir: &RunDir) -> Domain {
-    Domain::of(dir.read_plan().unwrap().run)
+    Domain::of(dir.read_plan().unwrap().life.run)
 }
 
 /// Fails unless the run has neither processes nor anything in shared memory.

@@ -41,16 +41,16 @@ pub fn run(
     worker: &mut Worker,
     stop: Stop<'_>,
 ) -> Result<(), RunError> {
-    let rollout = plan.config.run.rollout;
+    let rollout = plan.experiment.config.run.rollout;
     let mut actor = Serving {
-        run: plan.run,
+        run: plan.life.run,
         rollout,
         orders: Orders::default(),
         // In free mode the plan may be of a later learner than the one whose supervisor started this process.
-        generation: if plan.config.run.mode == Mode::Free {
+        generation: if plan.experiment.config.run.mode == Mode::Free {
             worker.incarnation().generation()
         } else {
-            plan.generation
+            plan.life.generation
         },
         sent: 0,
         played: 0,
@@ -232,19 +232,20 @@ mod tests {
     use std::thread;
     use trestle_link::{FromActor, LearnerLink, local};
     use trestle_proto::incarnation::Incarnation;
+    use trestle_proto::plan::Life;
 
     /// The plan may be written anew, for the next learner, before an actor that was started earlier reads it.
     #[test]
     fn an_actor_of_the_former_learner_announces_itself_anew() {
-        let mut plan = crate::worker::tests::plan(&["run.mode=free"]);
-        plan.generation = 1;
+        let experiment = crate::worker::tests::experiment(&["run.mode=free"]);
+        let plan = RunPlan { life: Life { run: 1, generation: 1, ..Life::default() }, experiment };
         let (mut learner, _mentor, mut links) = local::connect(&plan);
         let over = AtomicBool::new(false);
         thread::scope(|scope| {
             let (plan, over) = (&plan, &over);
             let mut link = links.remove(0);
             scope.spawn(move || {
-                let mut worker = Worker::replacing(plan, 0, Incarnation::new(0, 1)).unwrap();
+                let mut worker = Worker::replacing(&plan.experiment, 0, Incarnation::new(0, 1)).unwrap();
                 run(&mut link, plan, &mut worker, &|| over.load(Ordering::Relaxed)).unwrap();
             });
             let announced = |learner: &mut local::LocalLearner| match learner
@@ -256,7 +257,7 @@ mod tests {
                 FromActor::Batch => panic!("a batch that was not granted"),
             };
             assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(0, 1).into()));
-            learner.send_orders(&Orders { run: plan.run, generation: 1, ..Orders::default() }).unwrap();
+            learner.send_orders(&Orders { run: plan.life.run, generation: 1, ..Orders::default() }).unwrap();
             assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(1, 0).into()));
             over.store(true, Ordering::Relaxed);
         });

@@ -12,10 +12,10 @@ use trestle_proto::acting::{Acting, Lengths};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Tally, Transition};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
 use trestle_proto::orders::Collect;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::schedule;
@@ -41,10 +41,10 @@ pub enum ActorError {
     /// The state distance of guided exploration.
     #[error(transparent)]
     Metric(#[from] MetricError),
-    /// The plan's spaces are not those of the environment that its configuration describes.
+    /// The experiment's spaces are not those of the environment that its configuration describes.
     #[error("the plan's spaces of {planned} are not those of the environment {built} of its configuration")]
     Spec {
-        /// Name in the plan.
+        /// Name in the experiment.
         planned: String,
         /// Name of what was built.
         built: String,
@@ -192,49 +192,53 @@ struct State {
 }
 
 impl Worker {
-    /// Actor `index` of the run that `plan` describes, at the start of its first episode, outside of that run's
+    /// Actor `index` of the run that `experiment` describes, at the start of its first episode, outside of that run's
     /// processes: `env.hazard` has no effect.
     ///
     /// # Errors
-    /// A configuration that gives no environment or no network, a plan whose spaces are not those of its
+    /// A configuration that gives no environment or no network, an experiment whose spaces are not those of its
     /// environment, an index that the run does not have, or an environment whose first state is not finite.
-    pub fn new(plan: &RunPlan, index: u32) -> Result<Self, ActorError> {
-        Self::with(plan, index, Incarnation::default(), Hazard::default())
+    pub fn new(experiment: &Experiment, index: u32) -> Result<Self, ActorError> {
+        Self::with(experiment, index, Incarnation::default(), Hazard::default())
     }
 
     /// The same as incarnation `incarnation` of that actor, with random streams of its own, in a process of the run.
     ///
     /// # Errors
     /// As [`Worker::new`].
-    pub fn replacing(plan: &RunPlan, index: u32, incarnation: Incarnation) -> Result<Self, ActorError> {
-        Self::with(plan, index, incarnation, plan.config.env.hazard)
+    pub fn replacing(
+        experiment: &Experiment,
+        index: u32,
+        incarnation: Incarnation,
+    ) -> Result<Self, ActorError> {
+        Self::with(experiment, index, incarnation, experiment.config.env.hazard)
     }
 
     fn with(
-        plan: &RunPlan,
+        experiment: &Experiment,
         index: u32,
         incarnation: Incarnation,
         hazard: Hazard,
     ) -> Result<Self, ActorError> {
-        let run = &plan.config.run;
+        let run = &experiment.config.run;
         if index >= run.actors {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
         }
         let hazards = Hazards::new(hazard);
-        let mut env = hazards.around(registry().build(&plan.config.env)?, HazardScope::Training);
-        if *env.spec() != plan.spec {
-            let (planned, built) = (plan.spec.name.clone(), env.spec().name.clone());
+        let mut env = hazards.around(registry().build(&experiment.config.env)?, HazardScope::Training);
+        if *env.spec() != experiment.spec {
+            let (planned, built) = (experiment.spec.name.clone(), env.spec().name.clone());
             return Err(ActorError::Spec { planned, built });
         }
-        let (layout, encoding) = network_of(plan)?;
-        let obs_dim = plan.spec.obs_dim();
+        let (layout, encoding) = network_of(experiment)?;
+        let obs_dim = experiment.spec.obs_dim();
         let who = u64::from(index) + (u64::from(incarnation) << 32);
         let mut environment = stream(run.seed, Purpose::Environment, who);
         let mut obs = vec![0.0; obs_dim];
         env.reset(&mut environment, &mut obs)?;
         check_finite(index, Moment::Steps(0), &obs, 0.0)?;
         let mut explore = stream(run.seed, Purpose::Explore, who);
-        let mut guide = Guide::new(plan)?;
+        let mut guide = Guide::new(experiment)?;
         if let Some(guide) = &mut guide {
             guide.begin(&obs, &mut explore);
         }
@@ -243,14 +247,15 @@ impl Worker {
             actors: run.actors,
             incarnation,
             seed: run.seed,
-            exploration: plan.config.exploration.clone(),
-            policy: Policy::new(layout, encoding, kernels_of(plan)?),
+            exploration: experiment.config.exploration.clone(),
+            policy: Policy::new(layout, encoding, kernels_of(experiment)?),
             guide,
             guides: true,
-            lengths: plan.acting(),
+            lengths: experiment.acting(),
             env,
-            evaluation_env: hazards.around(registry().build(&plan.config.env)?, HazardScope::Evaluation),
-            success: plan.success(),
+            evaluation_env: hazards
+                .around(registry().build(&experiment.config.env)?, HazardScope::Evaluation),
+            success: experiment.success(),
             explore,
             environment,
             obs,

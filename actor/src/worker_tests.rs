@@ -4,30 +4,20 @@
 use super::*;
 use trestle_proto::NONE;
 use trestle_proto::batch::Tally;
-use trestle_proto::plan::MentorPart;
+use trestle_proto::experiment::MentorPart;
 use trestle_proto::waypoints::Waypoints;
 
-pub(crate) fn plan(overrides: &[&str]) -> RunPlan {
+pub(crate) fn experiment(overrides: &[&str]) -> Experiment {
     let own = ["run.algo=ha-diiqn", "env.encoding=coordinates"];
     let overrides: Vec<String> = own.iter().chain(overrides).map(ToString::to_string).collect();
     let mut config = config::load(registry(), "maze-small", &overrides).unwrap();
     registry().resolve(&mut config.env, config.run.seed).unwrap();
     let spec = registry().build(&config.env).unwrap().spec().clone();
-    RunPlan {
-        history: 0,
-        run: 77,
-        config,
-        spec,
-        mentors: Vec::new(),
-        waypoints: None,
-        resume_tick: None,
-        restarts: 0,
-        generation: 0,
-    }
+    Experiment { config, spec, mentors: Vec::new(), waypoints: None }
 }
 
-/// A plan on the map `layout` with actions W and E, a network without influence but its output's bias.
-fn corridor(layout: &str, overrides: &[&str]) -> RunPlan {
+/// An experiment on the map `layout` with actions W and E, a network without influence but its output's bias.
+fn corridor(layout: &str, overrides: &[&str]) -> Experiment {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("map.txt");
     std::fs::write(&path, layout).unwrap();
@@ -35,12 +25,12 @@ fn corridor(layout: &str, overrides: &[&str]) -> RunPlan {
     let mut all =
         vec![map.as_str(), "env.action_sets.line=['W', 'E']", "env.actions=line", "env.step_limit=7"];
     all.extend(overrides);
-    plan(&all)
+    experiment(&all)
 }
 
 /// Parameters with which `action` is the best everywhere.
-fn always(plan: &RunPlan, action: usize) -> Vec<f32> {
-    let (layout, _) = network_of(plan).unwrap();
+fn always(experiment: &Experiment, action: usize) -> Vec<f32> {
+    let (layout, _) = network_of(experiment).unwrap();
     let mut params = vec![0.0; layout.n_params()];
     let bias = layout.n_params() - layout.output();
     params[bias + action] = 1.0;
@@ -48,8 +38,8 @@ fn always(plan: &RunPlan, action: usize) -> Vec<f32> {
 }
 
 /// Parameters with which actions depend on the state.
-fn random_params(plan: &RunPlan) -> Vec<f32> {
-    trestle_qnet::init(&network_of(plan).unwrap().0, &mut stream(1, Purpose::Weights, 0))
+fn random_params(experiment: &Experiment) -> Vec<f32> {
+    trestle_qnet::init(&network_of(experiment).unwrap().0, &mut stream(1, Purpose::Weights, 0))
 }
 
 fn order(round: u64, steps: u32) -> Collect {
@@ -73,48 +63,49 @@ fn guided_batches(worker: &mut Worker, acting: &Acting, first: u64, n: u64, amou
 }
 
 /// The corridor "S....G", whose mentor went from its start to its end; of every exploring step a share is guided.
-fn guided_corridor(share: f64) -> RunPlan {
+fn guided_corridor(share: f64) -> Experiment {
     let share = ["start", "end"].map(|at| format!("exploration.guide_{at}={share}"));
-    let mut plan = walked_corridor(&["mentor.e_th=0.1", &share[0], &share[1]]);
-    plan.mentors = vec![MentorPart { name: "line".into(), transitions: 5 }];
-    plan
+    let mut experiment = walked_corridor(&["mentor.e_th=0.1", &share[0], &share[1]]);
+    experiment.mentors = vec![MentorPart { name: "line".into(), transitions: 5 }];
+    experiment
 }
 
 /// The same corridor without annotations, where every step explores.
-fn walked_corridor(sets: &[&str]) -> RunPlan {
-    let mut plan = corridor("S....G\n", &[&["exploration.epsilon_end=1"], sets].concat());
+fn walked_corridor(sets: &[&str]) -> Experiment {
+    let mut experiment = corridor("S....G\n", &[&["exploration.epsilon_end=1"], sets].concat());
     let states = (0..6).flat_map(|x| [x as f32, 0.0]).collect();
     let (transition_of, progress) = (vec![0, 1, 2, 3, 4, NONE], vec![0.0; 6]);
-    plan.waypoints = Some(Waypoints { states, transition_of, progress });
-    plan
+    experiment.waypoints = Some(Waypoints { states, transition_of, progress });
+    experiment
 }
 
 #[test]
 fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
-    let plan = guided_corridor(1.0);
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let experiment = guided_corridor(1.0);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     // East is known everywhere but in the fourth cell, where west is, so that it never gets further.
-    let acting = |known: [u32; 5]| Acting { known: known.to_vec(), ..Acting::of_weights(always(&plan, 0)) };
+    let acting =
+        |known: [u32; 5]| Acting { known: known.to_vec(), ..Acting::of_weights(always(&experiment, 0)) };
     let east = acting([1, 1, 1, 0, NONE]);
     assert_eq!(worker.lengths(), east.lengths());
     let batch = guided_batches(&mut worker, &east, 1, 1, 7).remove(0);
     assert_eq!(batch.actions(), [1, 1, 1, 0, 1, 0, 1]);
     // Without the table nothing is done, and nothing is known of a table without entries.
-    let weights = Acting::of_weights(always(&plan, 0));
+    let weights = Acting::of_weights(always(&experiment, 0));
     assert!(worker.collect(&weights, &order(2, 7), &mut Batch::default()).is_err());
     let explored = guided_batches(&mut worker, &acting([NONE; 5]), 2, 30, 7);
     let actions: Vec<u32> = explored.iter().flat_map(|batch| batch.actions().to_vec()).collect();
     let east = actions.iter().sum::<u32>();
     assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
     // Evaluations need the parameters alone.
-    assert!(worker.evaluate(&always(&plan, 1), 0, 1).unwrap().episodes[0].success == Some(true));
+    assert!(worker.evaluate(&always(&experiment, 1), 0, 1).unwrap().episodes[0].success == Some(true));
 }
 
 #[test]
 fn a_share_of_the_exploring_steps_is_guided() {
-    let plan = guided_corridor(0.5);
-    let mut worker = Worker::new(&plan, 0).unwrap();
-    let acting = Acting { known: vec![1; 5], ..Acting::of_weights(always(&plan, 0)) };
+    let experiment = guided_corridor(0.5);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let acting = Acting { known: vec![1; 5], ..Acting::of_weights(always(&experiment, 0)) };
     let actions: Vec<u32> = guided_batches(&mut worker, &acting, 1, 100, 10)
         .iter()
         .flat_map(|batch| batch.actions().to_vec())
@@ -125,7 +116,7 @@ fn a_share_of_the_exploring_steps_is_guided() {
 }
 
 /// The same corridor, where every exploring step follows learned bridges while these guide an episode.
-fn bridged_corridor(sets: &[&str]) -> RunPlan {
+fn bridged_corridor(sets: &[&str]) -> Experiment {
     let own = [
         "run.algo=trestle",
         "exploration.guide_start=1",
@@ -140,18 +131,18 @@ fn bridged_corridor(sets: &[&str]) -> RunPlan {
 }
 
 /// A network that goes west, and a guiding policy that all but surely takes `action`.
-fn leading(plan: &RunPlan, action: usize) -> Acting {
-    let mut policy = vec![0.0; plan.acting().policy];
+fn leading(experiment: &Experiment, action: usize) -> Acting {
+    let mut policy = vec![0.0; experiment.acting().policy];
     let outputs = policy.len() - 2;
     policy[outputs + action] = 90.0;
-    Acting { policy, ..Acting::of_weights(always(plan, 0)) }
+    Acting { policy, ..Acting::of_weights(always(experiment, 0)) }
 }
 
 #[test]
 fn learned_bridges_lead_to_the_end_of_the_path() {
-    let plan = bridged_corridor(&[]);
-    let mut worker = Worker::new(&plan, 0).unwrap();
-    let east = leading(&plan, 1);
+    let experiment = bridged_corridor(&[]);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let east = leading(&experiment, 1);
     let batches = guided_batches(&mut worker, &east, 1, 4, 5);
     assert!(batches.iter().all(|batch| batch.actions() == [1; 5] && batch.transition(4).succeeded()));
     let tally = Tally { steps: 5, episodes: 1, guided: 1, stuck: 0, progress: 1.0 };
@@ -161,10 +152,10 @@ fn learned_bridges_lead_to_the_end_of_the_path() {
 #[test]
 fn episodes_are_left_to_themselves_where_bridges_lead_nowhere() {
     let led = |sets: &[&str]| {
-        let plan = bridged_corridor(sets);
-        let mut worker = Worker::new(&plan, 0).unwrap();
+        let experiment = bridged_corridor(sets);
+        let mut worker = Worker::new(&experiment, 0).unwrap();
         let mut tally = Tally::default();
-        for batch in guided_batches(&mut worker, &leading(&plan, 0), 1, 50, 14) {
+        for batch in guided_batches(&mut worker, &leading(&experiment, 0), 1, 50, 14) {
             tally.merge(&batch.header.guide);
         }
         tally
@@ -181,13 +172,13 @@ fn episodes_are_left_to_themselves_where_bridges_lead_nowhere() {
 
 #[test]
 fn an_actor_that_is_led_goes_on_from_its_snapshot() {
-    let plan = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
-    let acting = leading(&plan, 1);
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let experiment = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
+    let acting = leading(&experiment, 1);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     for first in [1, 8, 15] {
         guided_batches(&mut worker, &acting, first, 7, 13);
         let bytes = worker.snapshot().unwrap();
-        let mut other = Worker::new(&plan, 0).unwrap();
+        let mut other = Worker::new(&experiment, 0).unwrap();
         other.restore(&bytes).unwrap();
         assert_eq!(other.snapshot().unwrap(), bytes);
         let went_on = guided_batches(&mut other, &acting, first + 7, 20, 13);
@@ -212,17 +203,17 @@ fn an_actor_that_is_led_goes_on_from_its_snapshot() {
 #[test]
 fn an_own_path_is_followed_and_remembered() {
     // The mentor's path ends where it begins.
-    let mut plan = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
-    plan.waypoints.as_mut().unwrap().states = vec![0.0; 12];
-    let mut worker = Worker::new(&plan, 0).unwrap();
-    let mut acting = leading(&plan, 1);
+    let mut experiment = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
+    experiment.waypoints.as_mut().unwrap().states = vec![0.0; 12];
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let mut acting = leading(&experiment, 1);
     assert_eq!(guided_batches(&mut worker, &acting, 1, 1, 14)[0].header.guide.steps, 0);
     acting.own = trestle_proto::acting::OwnPlaces {
         lengths: vec![6],
         places: (0..6).flat_map(|x| [x as f32, 0.0]).collect(),
     };
     assert!(guided_batches(&mut worker, &acting, 2, 1, 14)[0].header.guide.steps > 0);
-    let mut other = Worker::new(&plan, 0).unwrap();
+    let mut other = Worker::new(&experiment, 0).unwrap();
     other.restore(&worker.snapshot().unwrap()).unwrap();
     assert_eq!(
         guided_batches(&mut other, &acting, 3, 20, 13),
@@ -232,15 +223,15 @@ fn an_own_path_is_followed_and_remembered() {
 
 #[test]
 fn a_guide_is_played_alone_and_has_nothing_to_do_when_its_time_is_over() {
-    let plan = bridged_corridor(&["exploration.guide_end=0", "exploration.guide_decay_steps=14"]);
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let experiment = bridged_corridor(&["exploration.guide_end=0", "exploration.guide_decay_steps=14"]);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     let before = worker.snapshot().unwrap();
     let played =
-        |worker: &mut Worker, action| worker.evaluate_guide(&leading(&plan, action).policy, 3).unwrap();
+        |worker: &mut Worker, action| worker.evaluate_guide(&leading(&experiment, action).policy, 3).unwrap();
     assert!((played(&mut worker, 1).unwrap() - 0.84).abs() < 1e-6);
     assert!((played(&mut worker, 0).unwrap() + 7.0 * 0.75).abs() < 1e-6);
     assert_eq!(worker.snapshot().unwrap(), before);
-    let acting = leading(&plan, 1);
+    let acting = leading(&experiment, 1);
     let guided = guided_batches(&mut worker, &acting, 1, 1, 14).remove(0);
     assert!(guided.header.guide.steps > 0);
     let free = guided_batches(&mut worker, &acting, 2, 20, 14);
@@ -251,9 +242,9 @@ fn a_guide_is_played_alone_and_has_nothing_to_do_when_its_time_is_over() {
 
 #[test]
 fn batches_are_complete_and_continuous() {
-    let plan = plan(&["run.actors=2", "env.step_limit=50"]);
-    let params = random_params(&plan);
-    let mut worker = Worker::new(&plan, 1).unwrap();
+    let experiment = experiment(&["run.actors=2", "env.step_limit=50"]);
+    let params = random_params(&experiment);
+    let mut worker = Worker::new(&experiment, 1).unwrap();
     assert_eq!((worker.index(), worker.obs_dim(), worker.lengths().words()), (1, 2, params.len()));
     let (mut expected, mut obs, mut ends) = (FIRST, vec![0.0, 0.0], 0);
     for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
@@ -287,9 +278,9 @@ fn batches_are_complete_and_continuous() {
 fn flags_tell_how_an_episode_ended() {
     const END: u32 = TERMINATED | SUCCEEDED;
     let flags = |layout: &str, action| {
-        let plan = corridor(layout, &["exploration.epsilon_start=0", "exploration.epsilon_end=0"]);
-        let params = always(&plan, action);
-        batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, 1, 8)[0].flags().to_vec()
+        let experiment = corridor(layout, &["exploration.epsilon_start=0", "exploration.epsilon_end=0"]);
+        let params = always(&experiment, action);
+        batches(&mut Worker::new(&experiment, 0).unwrap(), &params, 1, 1, 8)[0].flags().to_vec()
     };
     assert_eq!(flags("S.G\n", 1), [FIRST, END, FIRST, END, FIRST, END, FIRST, END]);
     assert_eq!(flags("SG\n", 1), [FIRST | END; 8]);
@@ -298,10 +289,10 @@ fn flags_tell_how_an_episode_ended() {
 
 #[test]
 fn the_cut_into_batches_changes_nothing() {
-    let plan = plan(&["env.step_limit=50"]);
-    let params = random_params(&plan);
+    let experiment = experiment(&["env.step_limit=50"]);
+    let params = random_params(&experiment);
     let transitions = |n, amount: u32| {
-        let made = batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, n, amount);
+        let made = batches(&mut Worker::new(&experiment, 0).unwrap(), &params, 1, n, amount);
         let all = made.iter().flat_map(|b| (0..b.len()).map(|i| format!("{:?}", b.transition(i))));
         all.collect::<Vec<_>>()
     };
@@ -311,9 +302,9 @@ fn the_cut_into_batches_changes_nothing() {
 #[test]
 fn actors_and_seeds_differ() {
     let actions = |seed: &str, index| {
-        let plan = plan(&["run.actors=2", seed]);
-        let params = random_params(&plan);
-        batches(&mut Worker::new(&plan, index).unwrap(), &params, 1, 1, 64)[0].actions().to_vec()
+        let experiment = experiment(&["run.actors=2", seed]);
+        let params = random_params(&experiment);
+        batches(&mut Worker::new(&experiment, index).unwrap(), &params, 1, 1, 64)[0].actions().to_vec()
     };
     assert_eq!(actions("run.seed=1", 0), actions("run.seed=1", 0));
     assert_ne!(actions("run.seed=1", 0), actions("run.seed=1", 1));
@@ -323,7 +314,7 @@ fn actors_and_seeds_differ() {
 #[test]
 fn exploration_follows_the_schedule_over_all_actors() {
     let explores = |index, env_steps| {
-        let plan = corridor(
+        let experiment = corridor(
             "S......G\n",
             &[
                 "run.actors=2",
@@ -332,10 +323,10 @@ fn exploration_follows_the_schedule_over_all_actors() {
                 "exploration.epsilon_decay_steps=64",
             ],
         );
-        let acting = Acting::of_weights(always(&plan, 1));
+        let acting = Acting::of_weights(always(&experiment, 1));
         let mut batch = Batch::default();
         let order = Collect { env_steps, ..order(1, 64) };
-        Worker::new(&plan, index).unwrap().collect(&acting, &order, &mut batch).unwrap();
+        Worker::new(&experiment, index).unwrap().collect(&acting, &order, &mut batch).unwrap();
         batch.actions().contains(&0)
     };
     assert!(explores(0, 0));
@@ -347,13 +338,13 @@ fn exploration_follows_the_schedule_over_all_actors() {
 
 #[test]
 fn a_restored_actor_makes_the_same_batches() {
-    let plan = plan(&["env.step_limit=90"]);
-    let params = random_params(&plan);
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let experiment = experiment(&["env.step_limit=90"]);
+    let params = random_params(&experiment);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     for first in [1, 8, 15] {
         batches(&mut worker, &params, first, 7, 13);
         let bytes = worker.snapshot().unwrap();
-        let mut other = Worker::new(&plan, 0).unwrap();
+        let mut other = Worker::new(&experiment, 0).unwrap();
         batches(&mut other, &params, 1, 2, 10);
         other.restore(&bytes).unwrap();
         assert_eq!(other.snapshot().unwrap(), bytes);
@@ -366,10 +357,10 @@ fn a_restored_actor_makes_the_same_batches() {
 
 #[test]
 fn an_evaluation_disturbs_nothing_and_repeats() {
-    let plan = plan(&["env.step_limit=60"]);
-    let params = random_params(&plan);
-    let mut quiet = Worker::new(&plan, 0).unwrap();
-    let mut evaluating = Worker::new(&plan, 0).unwrap();
+    let experiment = experiment(&["env.step_limit=60"]);
+    let params = random_params(&experiment);
+    let mut quiet = Worker::new(&experiment, 0).unwrap();
+    let mut evaluating = Worker::new(&experiment, 0).unwrap();
     let mut seen = Vec::new();
     for t in 1..10 {
         let before = evaluating.snapshot().unwrap();
@@ -383,9 +374,9 @@ fn an_evaluation_disturbs_nothing_and_repeats() {
 #[test]
 fn greedy_episodes_are_reported_as_they_were_played() {
     let played = |layout: &str, action| {
-        let plan = corridor(layout, &["exploration.epsilon_end=1"]);
-        let params = always(&plan, action);
-        let evaluation = Worker::new(&plan, 0).unwrap().evaluate(&params, 3, 2).unwrap();
+        let experiment = corridor(layout, &["exploration.epsilon_end=1"]);
+        let params = always(&experiment, action);
+        let evaluation = Worker::new(&experiment, 0).unwrap().evaluate(&params, 3, 2).unwrap();
         assert_eq!((evaluation.evaluation, evaluation.episodes.len()), (3, 2));
         assert_eq!(evaluation.episodes[0], evaluation.episodes[1]);
         evaluation.episodes[0].clone()
@@ -401,9 +392,9 @@ fn greedy_episodes_are_reported_as_they_were_played() {
 
 #[test]
 fn a_path_without_room_is_left_out() {
-    let plan = corridor("S..G\n", &[]);
-    let params = always(&plan, 1);
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let experiment = corridor("S..G\n", &[]);
+    let params = always(&experiment, 1);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     let greedy = |policy: &mut Policy, _: Option<&mut Guide>, obs: &[f32]| policy.greedy(&params, obs);
     let mut path =
         |room| worker.play(greedy, &mut stream(0, Purpose::Evaluation, 0), room, 0).unwrap().path.len();
@@ -412,15 +403,15 @@ fn a_path_without_room_is_left_out() {
 
 #[test]
 fn what_cannot_be_done_is_refused() {
-    let plan = plan(&["run.actors=2"]);
-    let params = random_params(&plan);
-    let refused = Worker::new(&plan, 2).err().unwrap().to_string();
+    let experiment = experiment(&["run.actors=2"]);
+    let params = random_params(&experiment);
+    let refused = Worker::new(&experiment, 2).err().unwrap().to_string();
     assert_eq!(refused, "actor 2; accepted: 0 to 1");
-    let mut foreign = plan.clone();
+    let mut foreign = experiment.clone();
     foreign.spec.best_return = None;
     assert!(matches!(Worker::new(&foreign, 0), Err(ActorError::Spec { .. })));
 
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     let before = worker.snapshot().unwrap();
     let mut batch = Batch::default();
     let acting = Acting::of_weights(params);
@@ -440,7 +431,7 @@ fn what_cannot_be_done_is_refused() {
             Err(ActorError::Amount { what: "steps", .. })
         ));
     }
-    let other = Worker::new(&plan, 1).unwrap().snapshot().unwrap();
+    let other = Worker::new(&experiment, 1).unwrap().snapshot().unwrap();
     let message = worker.restore(&other).unwrap_err().to_string();
     assert_eq!(message, "snapshot of actor 1, with 2 features; this is actor 0, with 2");
     assert!(matches!(worker.restore(&before[..9]), Err(ActorError::Snapshot(_))));
@@ -472,17 +463,21 @@ fn refusal(mut worker: Worker, params: &[f32], doing: Doing) -> (u64, String) {
 fn numbers_that_are_not_finite_are_refused_by_name() {
     let hazardous = |kind: &str| {
         let kind = format!("env.hazard.kind={kind}");
-        let plan = corridor("S..G\n", &["run.actors=2", &kind, "env.hazard.after=20"]);
-        (Worker::replacing(&plan, 1, Incarnation::default()).unwrap(), random_params(&plan), plan)
+        let experiment = corridor("S..G\n", &["run.actors=2", &kind, "env.hazard.after=20"]);
+        (
+            Worker::replacing(&experiment, 1, Incarnation::default()).unwrap(),
+            random_params(&experiment),
+            experiment,
+        )
     };
-    let (worker, params, plan) = hazardous("nan-reward");
+    let (worker, params, experiment) = hazardous("nan-reward");
     let refused = "the environment of actor 1 gave a reward = NaN after 20 steps; accepted: finite numbers";
     assert_eq!(refusal(worker, &params, Doing::Collecting), (2, refused.into()));
     let (worker, _, _) = hazardous("nan-state");
     let refused = "the environment of actor 1 gave feature 1 of its state = NaN after 20 steps; accepted: finite numbers";
     assert_eq!(refusal(worker, &params, Doing::Collecting), (2, refused.into()));
     // Seven steps an evaluation, as west leads nowhere.
-    let west = always(&plan, 0);
+    let west = always(&experiment, 0);
     let refused = "the environment of actor 1 gave a reward = NaN in evaluation 3; accepted: finite numbers";
     assert_eq!(refusal(hazardous("nan-reward").0, &west, Doing::Evaluating), (2, refused.into()));
     let refused = "the environment of actor 1 gave feature 1 of its state = NaN in evaluation 3; accepted: finite numbers";
@@ -500,7 +495,7 @@ fn numbers_that_are_not_finite_are_refused_by_name() {
     }
 }
 
-/// A plan's hazard is one of its run's processes, not of those that look at the run.
+/// An experiment's hazard is one of its run's processes, not of those that look at the run.
 #[test]
 fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
     let with = |during: &str| {
@@ -530,9 +525,9 @@ fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
 #[test]
 fn both_encodings_give_a_network_that_acts() {
     for encoding in ["coordinates", "one-hot"] {
-        let plan = plan(&[&format!("env.encoding={encoding}"), "learner.hidden=[16]"]);
-        let params = random_params(&plan);
-        let made = batches(&mut Worker::new(&plan, 0).unwrap(), &params, 1, 2, 32);
+        let experiment = experiment(&[&format!("env.encoding={encoding}"), "learner.hidden=[16]"]);
+        let params = random_params(&experiment);
+        let made = batches(&mut Worker::new(&experiment, 0).unwrap(), &params, 1, 2, 32);
         assert!(made[1].actions().iter().any(|&action| action != made[1].actions()[0]));
     }
 }

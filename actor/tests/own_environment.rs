@@ -11,8 +11,9 @@ use trestle_proto::batch::Batch;
 use trestle_proto::codec;
 use trestle_proto::config::accepts::between;
 use trestle_proto::config::{self, Environments, Table};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::orders::Collect;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::rng::Stream;
 use trestle_proto::settings;
 use trestle_proto::space::{EnvSpec, Success};
@@ -93,16 +94,16 @@ impl Environment for Balance {
     }
 }
 
-/// The plan of a run in it with `sets`.
-fn plan(sets: &[&str]) -> RunPlan {
+/// A run in it with `sets`.
+fn experiment(sets: &[&str]) -> Experiment {
     let sets =
         ["env.name=balance", "run.algo=dqn", "run.episodes=1", "learner.hidden=[4]"].iter().chain(sets);
     let sets: Vec<String> = sets.map(ToString::to_string).collect();
     let mut config = config::from_table(registry(), Table::new(), &sets).unwrap();
     registry().resolve(&mut config.env, 0).unwrap();
     let spec = registry().build(&config.env).unwrap().spec().clone();
-    let (mentors, waypoints, resume_tick) = (Vec::new(), None, None);
-    RunPlan { run: 1, history: 0, config, spec, mentors, waypoints, resume_tick, restarts: 0, generation: 0 }
+    let (mentors, waypoints) = (Vec::new(), None);
+    Experiment { config, spec, mentors, waypoints }
 }
 
 #[test]
@@ -115,17 +116,18 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
     let error = registry().complete("balance", wrong).unwrap_err().to_string();
     assert_eq!(error, "env.width = 0; accepted: 1 to 100");
 
-    let plan = plan(&["env.width=2", "env.step_limit=5"]);
+    let experiment = experiment(&["env.width=2", "env.step_limit=5"]);
     // It has no map, no drawing and no planner, and none of these is missed before it is asked for.
-    assert!(registry().draw(&plan.config.env, &[]).unwrap().is_none());
-    assert!(registry().ground(&plan.config.env).unwrap().is_none());
-    assert!(registry().engine(&plan.config.env).unwrap().is_none());
-    let error = registry().plan_states(&plan.config.env, "any").unwrap_err().to_string();
+    assert!(registry().draw(&experiment.config.env, &[]).unwrap().is_none());
+    assert!(registry().ground(&experiment.config.env).unwrap().is_none());
+    assert!(registry().engine(&experiment.config.env).unwrap().is_none());
+    let error = registry().plan_states(&experiment.config.env, "any").unwrap_err().to_string();
     assert!(error.contains("the environment balance has no planner; accepted: a CSV file"), "{error}");
+    let plan = RunPlan { life: Life::default(), experiment: experiment.clone() };
     assert_eq!(RunPlan::decode(&plan.encode().unwrap()).unwrap(), plan);
 
     // A batch of training, and a snapshot in the middle of an episode.
-    let mut worker = Worker::new(&plan, 0).unwrap();
+    let mut worker = Worker::new(&experiment, 0).unwrap();
     let acting = Acting::zeros(worker.lengths());
     let order = Collect { run: 1, round: 1, steps: 23, ..Collect::default() };
     let mut batch = Batch::default();
@@ -137,7 +139,7 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
     // Always to the left: every episode ends by falling, after one step or two. That is no success.
     let played = worker.evaluate(&acting.weights, 0, 20).unwrap().episodes;
     assert!(played.iter().all(|episode| episode.terminated && episode.length <= 2));
-    assert_eq!(plan.success(), Success::Undefined);
+    assert_eq!(experiment.success(), Success::Undefined);
     assert!(played.iter().all(|episode| episode.success.is_none()));
 }
 
@@ -148,18 +150,8 @@ fn a_threshold_defines_success_where_the_environment_does_not() {
     config.eval.threshold = Some(5.0);
     config.eval.tolerance = 1.0;
     let spec = Balance::new(&Settings::default(), &config::Env::default()).unwrap().spec;
-    let (mentors, waypoints, resume_tick) = (Vec::new(), None, None);
-    let plan = RunPlan {
-        run: 1,
-        history: 0,
-        config,
-        spec,
-        mentors,
-        waypoints,
-        resume_tick,
-        restarts: 0,
-        generation: 0,
-    };
-    let success = plan.success();
+    let (mentors, waypoints) = (Vec::new(), None);
+    let experiment = Experiment { config, spec, mentors, waypoints };
+    let success = experiment.success();
     assert_eq!([3.9, 4.0, 5.0].map(|total| success.of(true, total)), [Some(false), Some(true), Some(true)]);
 }

@@ -10,7 +10,7 @@
 use crate::replay::Replay;
 use crate::similarity::metric::{Metric, MetricError, kl};
 use trestle_proto::batch::Transition;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 
 /// Beyond this KL divergence exp(-KL) is taken for 0; it is 1.1e-7 there.
 const FAR: f32 = 16.0;
@@ -30,14 +30,16 @@ pub struct Shaping {
 }
 
 impl Shaping {
-    /// The shaping of `plan`'s run; none without one.
+    /// The shaping of `experiment`'s run; none without one.
     ///
     /// # Errors
     /// Settings that give no state distance.
-    pub fn new(plan: &RunPlan) -> Result<Option<Self>, MetricError> {
-        let (config, mentor) = (&plan.config, &plan.config.mentor);
-        let Some(waypoints) = plan.waypoints.as_ref().filter(|_| config.shaped()) else { return Ok(None) };
-        let metric = Metric::of(mentor, &plan.spec.scale, &waypoints.states)?;
+    pub fn new(experiment: &Experiment) -> Result<Option<Self>, MetricError> {
+        let (config, mentor) = (&experiment.config, &experiment.config.mentor);
+        let Some(waypoints) = experiment.waypoints.as_ref().filter(|_| config.shaped()) else {
+            return Ok(None);
+        };
+        let metric = Metric::of(mentor, &experiment.spec.scale, &waypoints.states)?;
         Ok(Some(Self {
             potential: config.shaping.potential as f32,
             gamma: config.learner.gamma as f32,
@@ -95,20 +97,20 @@ impl Shaping {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::testing::plan;
+    use crate::testing::experiment;
     use proptest::prelude::*;
     use trestle_proto::batch::{TERMINATED, TRUNCATED};
     use trestle_proto::waypoints::Waypoints;
 
     /// Waypoints (0, 0), (1, 1), (2, 2), and Φ up to 3.
     fn shaping() -> Shaping {
-        let mut plan = plan(&["run.algo=dqn", "shaping.potential=3", "learner.gamma=0.9"]);
-        plan.waypoints = Some(Waypoints {
+        let mut experiment = experiment(&["run.algo=dqn", "shaping.potential=3", "learner.gamma=0.9"]);
+        experiment.waypoints = Some(Waypoints {
             states: vec![0.0, 0.0, 1.0, 1.0, 2.0, 2.0],
             transition_of: vec![0, 1, trestle_proto::NONE],
             progress: vec![0.0, 0.5, 1.0],
         });
-        Shaping::new(&plan).unwrap().unwrap()
+        Shaping::new(&experiment).unwrap().unwrap()
     }
 
     #[test]
@@ -127,7 +129,7 @@ mod tests {
 
     #[test]
     fn without_a_potential_there_is_no_shaping() {
-        assert!(Shaping::new(&plan(&["run.algo=dqn"])).unwrap().is_none());
+        assert!(Shaping::new(&experiment(&["run.algo=dqn"])).unwrap().is_none());
     }
 
     proptest! {

@@ -1,4 +1,4 @@
-//! A small made-up run for tests: a plan, a demonstration, and random batches with the mentor-server's answers.
+//! A small made-up run for tests: an experiment, a demonstration, and random batches with the mentor-server's answers.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,17 +7,17 @@ use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::config::{Config, Table, from_table};
+use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
-use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::rng::Stream;
 use trestle_proto::space::EnvSpec;
 
 pub(crate) const MENTOR_LEN: usize = 6;
 pub(crate) const N_ACTIONS: u32 = 3;
 
-/// A plan with a small network and two features, `sets` being overrides as a user would type them.
-pub(crate) fn plan(sets: &[&str]) -> RunPlan {
+/// An experiment with a small network and two features, `sets` being overrides as a user would type them.
+pub(crate) fn experiment(sets: &[&str]) -> Experiment {
     let small = [
         "run.env_steps=100000",
         "run.episodes=1000000",
@@ -46,27 +46,17 @@ pub(crate) fn plan(sets: &[&str]) -> RunPlan {
     };
     let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
     let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };
-    RunPlan {
-        run: 1,
-        history: 7,
-        config,
-        spec,
-        mentors,
-        waypoints: None,
-        resume_tick: None,
-        restarts: 0,
-        generation: 0,
-    }
+    Experiment { config, spec, mentors, waypoints: None }
 }
 
-/// The demonstration of [`plan`]; none for `dqn`.
-pub(crate) fn demonstration(plan: &RunPlan) -> Option<MentorTransitions> {
+/// The demonstration of [`experiment`]; none for `dqn`.
+pub(crate) fn demonstration(experiment: &Experiment) -> Option<MentorTransitions> {
     let mut transitions = MentorTransitions::new(2);
-    for j in 0..plan.mentor_len() {
+    for j in 0..experiment.mentor_len() {
         let x = j as f32 - 3.0;
-        transitions.push(&[x, 0.5 * x], &[x + 1.0, 0.5 * x + 0.5], j + 1 == plan.mentor_len());
+        transitions.push(&[x, 0.5 * x], &[x + 1.0, 0.5 * x + 0.5], j + 1 == experiment.mentor_len());
     }
-    (plan.mentor_len() > 0).then_some(transitions)
+    (experiment.mentor_len() > 0).then_some(transitions)
 }
 
 /// What actors and mentor-server would send, drawn at random.
@@ -74,7 +64,7 @@ pub(crate) struct World {
     rng: Stream,
     /// The table that the mentor-server would have.
     table: AnnotationTable,
-    plan: RunPlan,
+    experiment: Experiment,
     /// Where each actor is, while its episode lasts.
     places: Vec<Option<[f32; 2]>>,
     /// All transitions of each actor, in order.
@@ -99,11 +89,11 @@ impl Walked {
 }
 
 impl World {
-    pub(crate) fn new(plan: &RunPlan, seed: u64) -> Self {
-        let table = AnnotationTable::new(plan.mentor_len(), 2, N_ACTIONS as usize);
-        let actors = plan.config.run.actors as usize;
+    pub(crate) fn new(experiment: &Experiment, seed: u64) -> Self {
+        let table = AnnotationTable::new(experiment.mentor_len(), 2, N_ACTIONS as usize);
+        let actors = experiment.config.run.actors as usize;
         let (places, walked) = (vec![None; actors], vec![Vec::new(); actors]);
-        Self { rng: Stream::seed_from_u64(seed), table, plan: plan.clone(), places, walked }
+        Self { rng: Stream::seed_from_u64(seed), table, experiment: experiment.clone(), places, walked }
     }
 
     fn state(&mut self) -> [f32; 2] {
@@ -131,12 +121,12 @@ impl World {
             self.walked[actor as usize].push(walked);
             self.places[actor as usize] = (ends == 0).then_some(next_obs);
         }
-        let observed = (self.plan.mentor_len() > 0).then(|| self.answer(count));
+        let observed = (self.experiment.mentor_len() > 0).then(|| self.answer(count));
         (batch, observed)
     }
 
     fn answer(&mut self, count: u32) -> Observed {
-        let len = self.plan.mentor_len() as u32;
+        let len = self.experiment.mentor_len() as u32;
         let mut observed = Observed::default();
         for _ in 0..count {
             let j = self.rng.random_range(0..len + 2);

@@ -21,9 +21,10 @@ use trestle_link::{FromActor, LearnerLink};
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader, words};
 use trestle_proto::config;
+use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::{Orders, Share};
-use trestle_proto::plan::{MentorPart, RunPlan};
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::JOINED;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
@@ -108,15 +109,13 @@ impl Setup {
         let run = u64::from(std::process::id()) << 32 | u64::from(NEXT.fetch_add(1, Ordering::Relaxed));
         let mentors = self.mentor.then(|| MentorPart { name: "walk".into(), transitions: MENTOR });
         Ok(RunPlan {
-            run,
-            history: 0,
-            config: config::from_table(&(), config::Table::new(), &sets)?,
-            spec: World::new(2, MENTOR, 0.0).spec(),
-            mentors: mentors.into_iter().collect(),
-            waypoints: None,
-            resume_tick: None,
-            restarts: 0,
-            generation: 0,
+            life: Life { run, ..Life::default() },
+            experiment: Experiment {
+                config: config::from_table(&(), config::Table::new(), &sets)?,
+                spec: World::new(2, MENTOR, 0.0).spec(),
+                mentors: mentors.into_iter().collect(),
+                waypoints: None,
+            },
         })
     }
 
@@ -160,11 +159,11 @@ impl Learner {
             signal_hook::flag::register(signal, interrupted.clone()).context("cannot handle signals")?;
         }
         Ok(Self {
-            acting: Acting::of_weights(vec![0.5; plan.acting().weights]),
+            acting: Acting::of_weights(vec![0.5; plan.experiment.acting().weights]),
             number: 0,
             version: 0,
             index: 0,
-            batches: vec![Batch::default(); plan.config.run.actors as usize],
+            batches: vec![Batch::default(); plan.experiment.config.run.actors as usize],
             answers: Answers::default(),
             interrupted,
             plan,
@@ -180,7 +179,7 @@ impl Learner {
         if publish || self.version == 0 {
             self.version = self.number;
         }
-        let (run, round, weights_version) = (self.plan.run, self.number, self.version);
+        let (run, round, weights_version) = (self.plan.life.run, self.number, self.version);
         let mut orders = Orders { run, round, weights_version, ..Orders::default() };
         let granted = self.number * u64::from(self.burst);
         orders.shares[..self.batches.len()].fill(Share { granted, ..Share::default() });
@@ -192,12 +191,12 @@ impl Learner {
         let first_index = self.index;
         self.index += self.batches.iter().map(|batch| batch.len() as u64).sum::<u64>();
         ObserveRequest {
-            run: self.plan.run,
+            run: self.plan.life.run,
             round: self.number,
             first_index,
             op: OBSERVE,
             count: self.batches.len() as u32,
-            obs_dim: self.plan.spec.obs_dim() as u32,
+            obs_dim: self.plan.experiment.spec.obs_dim() as u32,
             reserved: 0,
         }
     }
@@ -220,12 +219,12 @@ impl SharedMemory {
 
     /// With the processes that `peers` start, all of the run's actors and its mentor-server, which need `dir`.
     pub(super) fn new(learner: Learner, peers: Vec<Command>, dir: Scratch) -> Result<Self> {
-        let domain = Domain::create(learner.plan.run)?;
+        let domain = Domain::create(learner.plan.life.run)?;
         let mut own = Peers { children: Vec::new(), services: None, domain: None, _dir: dir };
         let domain = own.domain.insert(domain);
         own.services = Some(Services::create(domain, &learner.plan)?);
         peers.into_iter().try_for_each(|peer| own.start(peer))?;
-        let mut link = IceoryxLearner::new(&Domain::of(learner.plan.run), &learner.plan)?;
+        let mut link = IceoryxLearner::new(&Domain::of(learner.plan.life.run), &learner.plan)?;
         link.welcome(&|| learner.interrupted.load(Ordering::Relaxed))?;
         Ok(Self { link, learner, peers: own })
     }
@@ -258,7 +257,7 @@ impl Exchange for SharedMemory {
                 None => peers.check()?,
             }
         }
-        if !learner.plan.mentors.is_empty() {
+        if !learner.plan.experiment.mentors.is_empty() {
             let question = learner.question();
             let parts: Vec<Part<'_>> = learner.batches.iter().map(Part::of).collect();
             link.observe(&question, &parts, &mut learner.answers)?;
@@ -297,8 +296,9 @@ impl Exchange for Sockets {
         let Self { actors, mentor, learner, payload, .. } = self;
         let orders = learner.next(publish)?;
         let fresh = orders.weights_version == orders.round;
-        let sizes: Vec<u32> = learner.plan.sizes().iter().map(|&n| n as u32).collect();
-        let header = ActingHeader::new(learner.plan.run, 0, orders.weights_version, &sizes, &learner.acting);
+        let sizes: Vec<u32> = learner.plan.experiment.sizes().iter().map(|&n| n as u32).collect();
+        let header =
+            ActingHeader::new(learner.plan.life.run, 0, orders.weights_version, &sizes, &learner.acting);
         for actor in actors.iter_mut() {
             actor.write_all(bytes_of(&orders))?;
             if fresh {
@@ -306,7 +306,8 @@ impl Exchange for Sockets {
                 actor.write_all(cast_slice(&learner.acting.weights))?;
             }
         }
-        let (obs_dim, n_actions) = (learner.plan.spec.obs_dim(), learner.plan.spec.n_actions());
+        let (obs_dim, n_actions) =
+            (learner.plan.experiment.spec.obs_dim(), learner.plan.experiment.spec.n_actions());
         for (actor, batch) in actors.iter_mut().zip(&mut learner.batches) {
             for _ in 0..learner.burst {
                 let mut header = BatchHeader::default();
@@ -344,7 +345,7 @@ pub(super) fn socket(dir: &Path) -> PathBuf {
 /// The plan of `setup`, and a directory with it.
 fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
     let plan = setup.plan()?;
-    let dir = Scratch::new(&format!("{:x}", plan.run & 0xffff_ffff))?;
+    let dir = Scratch::new(&format!("{:x}", plan.life.run & 0xffff_ffff))?;
     let bytes = plan.encode()?;
     write_atomically(&RunDir::new(&dir.0).plan(), Durable::Later, |file| file.write_all(&bytes))?;
     Ok((plan, dir))

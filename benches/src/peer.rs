@@ -31,11 +31,11 @@ pub(super) fn run(args: &[String]) -> Result<()> {
     let stop = move || getppid() != benchmark;
     match role.as_str() {
         "actor" => {
-            let link = IceoryxActor::new(&Domain::of(plan.run), &plan, index)?;
+            let link = IceoryxActor::new(&Domain::of(plan.life.run), &plan, index)?;
             act(link, &mut Actor::new(&plan, index), burst, &stop)
         }
         "mentor-server" => {
-            let mut link = IceoryxMentor::new(&Domain::of(plan.run), &plan)?;
+            let mut link = IceoryxMentor::new(&Domain::of(plan.life.run), &plan)?;
             link.hello(&mut Ignorant, &stop)?;
             while !stop() {
                 link.serve(&mut Ignorant, WAIT_SLICE)?;
@@ -60,14 +60,14 @@ struct Actor {
 
 impl Actor {
     fn new(plan: &RunPlan, index: u32) -> Self {
-        let sizes = plan.sizes();
+        let sizes = plan.experiment.sizes();
         Self {
             index,
-            walk: World::new(plan.spec.obs_dim(), plan.mentor_len().max(2), 0.0).walk(),
+            walk: World::new(plan.experiment.spec.obs_dim(), plan.experiment.mentor_len().max(2), 0.0).walk(),
             batch: Batch::default(),
-            acting: Acting::zeros(plan.acting()),
+            acting: Acting::zeros(plan.experiment.acting()),
             sizes: sizes.iter().map(|&n| n as u32).collect(),
-            rollout: plan.config.run.rollout,
+            rollout: plan.experiment.config.run.rollout,
         }
     }
 
@@ -111,13 +111,13 @@ fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<
     loop {
         let mut orders = Orders::default();
         learner.read_exact(bytes_of_mut(&mut orders))?;
-        orders.validate(plan.run)?;
+        orders.validate(plan.life.run)?;
         if orders.weights_version != version {
             version = orders.weights_version;
             let mut header = ActingHeader::default();
             learner.read_exact(bytes_of_mut(&mut header))?;
             learner.read_exact(cast_slice_mut(&mut received))?;
-            header.receive(plan.run, &actor.sizes, &received, &Room::default(), &mut actor.acting)?;
+            header.receive(plan.life.run, &actor.sizes, &received, &Room::default(), &mut actor.acting)?;
         }
         let batch = actor.answer(&orders);
         for _ in 0..burst {

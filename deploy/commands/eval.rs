@@ -6,7 +6,7 @@ use crate::output::say;
 use crate::prepare;
 use crate::program;
 use crate::status::ExitCode;
-use crate::stored::read_plan;
+use crate::stored::read_experiment;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -48,13 +48,13 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         ));
     }
     let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
-    let plan = read_plan(&dir)?;
-    program::hand_over(&plan.config.env)?;
-    let (layout, _) = trestle_qnet::network_of(&plan)?;
+    let experiment = read_experiment(&dir)?;
+    program::hand_over(&experiment.config.env)?;
+    let (layout, _) = trestle_qnet::network_of(&experiment)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
     // The map and the network are made: only the random streams of the evaluation go by the seed from here on.
-    let mut played = plan.clone();
-    played.config.run.seed = args.seed.unwrap_or(plan.config.run.seed);
+    let mut played = experiment.clone();
+    played.config.run.seed = args.seed.unwrap_or(experiment.config.run.seed);
     let mut worker = Worker::new(&played, 0)?;
     // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
     let evaluation = worker.evaluate(&weights, u64::MAX, args.episodes)?;
@@ -70,17 +70,17 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         mean_return: mean(&|e| e.total_reward),
         mean_steps: mean(&|e| e.length as f64),
         success_rate: defined.then(|| mean(&|e| f64::from(u8::from(e.success == Some(true))))),
-        threshold: plan.threshold(),
+        threshold: experiment.threshold(),
     };
     if let Some((out, kind)) = args.picture.as_deref().zip(kind) {
         let path = episodes.first().map_or(&[][..], |episode| &episode.path);
-        picture::write(&dir, &plan, path, out, kind)?;
+        picture::write(&dir, &experiment, path, out, kind)?;
     }
     if args.json {
         outln!("{}", serde_json::to_string(&figures).context("cannot encode the figures")?);
         return Ok(ExitCode::SUCCESS);
     }
-    outln!("{}, checkpoint {}", plan.spec.name, path.display());
+    outln!("{}, checkpoint {}", experiment.spec.name, path.display());
     outln!("  episodes      {}", figures.episodes);
     outln!("  mean return   {:.3}", figures.mean_return);
     outln!("  mean steps    {:.1}", figures.mean_steps);
@@ -91,7 +91,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
         outln!("  threshold     {threshold:.3}");
     }
     if let Some(episode) = episodes.first().filter(|episode| !episode.path.is_empty())
-        && let Some(drawn) = registry().draw(&plan.config.env, &[(&episode.path, 'o')])?
+        && let Some(drawn) = registry().draw(&experiment.config.env, &[(&episode.path, 'o')])?
     {
         outln!("{drawn}");
     }

@@ -5,7 +5,7 @@ use super::eval::{Chosen, choose};
 use crate::cli::{Export, Format};
 use crate::export::{Network, file, model};
 use crate::status::ExitCode;
-use crate::stored::read_plan;
+use crate::stored::read_experiment;
 use anyhow::{Context, Result};
 use std::io::Write;
 use trestle_actor::env::registry;
@@ -14,12 +14,12 @@ use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 pub(super) fn run(args: &Export) -> Result<ExitCode> {
     free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
-    let plan = read_plan(&dir)?;
-    let (layout, encoding) = trestle_qnet::network_of(&plan)?;
+    let experiment = read_experiment(&dir)?;
+    let (layout, encoding) = trestle_qnet::network_of(&experiment)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
-    let env = registry().build(&plan.config.env)?;
+    let env = registry().build(&experiment.config.env)?;
     let features = env.features().into_iter().map(String::from).collect();
-    let network = Network::new(&plan, tick, features, &layout, encoding, &weights);
+    let network = Network::new(&experiment, tick, features, &layout, encoding, &weights);
     let bytes = match args.format {
         Format::Onnx => model(&network),
         Format::Safetensors => file(&network)?,

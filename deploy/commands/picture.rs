@@ -9,8 +9,8 @@ use trestle_actor::env::registry;
 use trestle_algorithm::agent::Agent;
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 use trestle_report::film::gif;
 use trestle_report::maze::Maze;
@@ -36,21 +36,30 @@ pub(super) fn kind(path: &Path, overwrite: bool) -> Result<&'static str> {
 ///
 /// # Errors
 /// The environment has no map, or the file cannot be written.
-pub(super) fn write(dir: &RunDir, plan: &RunPlan, path: &[f32], out: &Path, kind: &str) -> Result<()> {
-    let config = &plan.config;
+pub(super) fn write(
+    dir: &RunDir,
+    experiment: &Experiment,
+    path: &[f32],
+    out: &Path,
+    kind: &str,
+) -> Result<()> {
+    let config = &experiment.config;
     let Some(ground) = registry().ground(&config.env)? else {
-        bail!("--picture: {} has no map to draw; accepted: runs of environments with a map", plan.spec.name);
+        bail!(
+            "--picture: {} has no map to draw; accepted: runs of environments with a map",
+            experiment.spec.name
+        );
     };
     let ground = ground.as_ref();
     ensure!(!path.is_empty(), "--picture: the episode is too long to be drawn");
     let size = ground.size();
     let maze = Maze {
-        title: format!("{}, {}, seed {}", config.arm(), plan.spec.name, config.run.seed),
+        title: format!("{}, {}, seed {}", config.arm(), experiment.spec.name, config.run.seed),
         size,
         walls: squares(size).map(|cell| !ground.is_free(cell)).collect(),
         ends: ground.ends(),
         // A run that has lost its checkpoints still has a path.
-        mentor: found_out(dir, plan)
+        mentor: found_out(dir, experiment)
             .map_or_else(|_| Vec::new(), |(agent, states)| mentor_steps(&agent, &states, ground)),
         path: ground.places(path),
         fine: ground.squares(),
@@ -66,9 +75,9 @@ pub(super) fn write(dir: &RunDir, plan: &RunPlan, path: &[f32], out: &Path, kind
 }
 
 /// What the run's newest checkpoint knows of the mentor's transitions, and these.
-fn found_out(dir: &RunDir, plan: &RunPlan) -> Result<(Agent, MentorTransitions)> {
-    ensure!(plan.mentor_len() > 0, "the run has no mentor");
+fn found_out(dir: &RunDir, experiment: &Experiment) -> Result<(Agent, MentorTransitions)> {
+    ensure!(experiment.mentor_len() > 0, "the run has no mentor");
     let states = demo_file::read(&dir.demonstration())?.transitions();
     let (_, newest) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
-    Ok((checkpoint::load(&newest, plan, Some(states.clone()))?.agent, states))
+    Ok((checkpoint::load(&newest, experiment, Some(states.clone()))?.agent, states))
 }

@@ -9,8 +9,8 @@ use trestle_algorithm::agent::Agent;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_mentor_server::demo_file;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::{Workspace, forward};
 use trestle_report::maze::{Maze, Place, Step};
@@ -109,13 +109,13 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     let dir = RunDir::new(&run.path);
     let Some(ground) = registry().ground(&run.config.env)? else { return Ok(None) };
     let ground = ground.as_ref();
-    let plan = dir.read_plan()?;
+    let experiment = dir.read_plan()?.experiment;
     let (_, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
-    let demonstration = match plan.mentor_len() {
+    let demonstration = match experiment.mentor_len() {
         0 => None,
         _ => Some(demo_file::read(&dir.demonstration())?.transitions()),
     };
-    let agent = checkpoint::load(&path, &plan, demonstration.clone())?.agent;
+    let agent = checkpoint::load(&path, &experiment, demonstration.clone())?.agent;
     let size = ground.size();
     let mentor = demonstration.as_ref().map_or_else(Vec::new, |states| mentor_steps(&agent, states, ground));
     let replay = agent.replay();
@@ -136,10 +136,10 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
         walls: squares(size).map(|cell| !ground.is_free(cell)).collect(),
         ends: ground.ends(),
         mentor,
-        path: ground.places(&greedy_path(&plan, agent.weights())?),
+        path: ground.places(&greedy_path(&experiment, agent.weights())?),
         fine,
         visits,
-        values: values(&plan, ground, agent.weights())?,
+        values: values(&experiment, ground, agent.weights())?,
     }))
 }
 
@@ -168,16 +168,16 @@ pub(super) fn squares([columns, rows]: [usize; 2]) -> impl Iterator<Item = [usiz
 }
 
 /// The states of a greedy episode.
-fn greedy_path(plan: &RunPlan, weights: &[f32]) -> Result<Vec<f32>> {
-    let mut worker = Worker::new(plan, 0)?;
+fn greedy_path(experiment: &Experiment, weights: &[f32]) -> Result<Vec<f32>> {
+    let mut worker = Worker::new(experiment, 0)?;
     // As `trestle eval`: this evaluation's stream of resets is none of the training's.
     let evaluation = worker.evaluate(weights, u64::MAX, 1)?;
     Ok(evaluation.episodes.into_iter().next().map(|episode| episode.path).unwrap_or_default())
 }
 
 /// The largest Q-value in the middle of each square, at rest.
-fn values(plan: &RunPlan, ground: &dyn Ground, weights: &[f32]) -> Result<Vec<f64>> {
-    let (layout, encoding) = trestle_qnet::network_of(plan)?;
+fn values(experiment: &Experiment, ground: &dyn Ground, weights: &[f32]) -> Result<Vec<f64>> {
+    let (layout, encoding) = trestle_qnet::network_of(experiment)?;
     let fine = ground.squares();
     let size = ground.size().map(|side| side * fine);
     let middle = |square: [usize; 2]| square.map(|at| (at as f64 + 0.5) / fine as f64 - 0.5);

@@ -45,13 +45,13 @@ impl Start {
     fn new(args: &Role, role: &str) -> Result<Self> {
         let dir = RunDir::new(&args.run);
         let plan = dir.read_plan()?;
-        logging::init(plan.run, role, "info");
+        logging::init(plan.life.run, role, "info");
         let usual = take_hook();
         set_hook(Box::new(move |panic| {
             usual(panic);
             last_words(panic);
         }));
-        let domain = Domain::of(plan.run);
+        let domain = Domain::of(plan.life.run);
         let stop = Arc::new(AtomicBool::new(false));
         if args.watch_stdin {
             let (domain, stop, log) = (domain.clone(), stop.clone(), OwnLog::at(dir.log(role)));
@@ -180,9 +180,10 @@ pub(super) fn orphaned(run: u64) -> Result<ExitCode> {
 
 pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
     let start = Start::new(&args.role, &format!("actor-{}", args.index))?;
-    let (index, free) = (args.index, start.plan.config.run.mode == Mode::Free);
-    let mut worker = Worker::replacing(&start.plan, index, args.incarnation)?;
-    if let Some(tick) = start.plan.resume_tick.filter(|_| !free) {
+    let RunPlan { life, experiment } = &start.plan;
+    let (index, free) = (args.index, experiment.config.run.mode == Mode::Free);
+    let mut worker = Worker::replacing(experiment, index, args.incarnation)?;
+    if let Some(tick) = life.resume_tick.filter(|_| !free) {
         let states = checkpoint::load_actors(&checkpoint::directory(start.dir.root(), tick))?;
         let state = states.get(index as usize).context("the checkpoint has no state of this actor")?;
         worker.restore(state)?;
@@ -215,7 +216,7 @@ pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
     let start = Start::new(args, "mentor-server")?;
     let demonstration = demo_file::read(&start.dir.demonstration())?;
     let mut link = IceoryxMentor::new(&start.domain, &start.plan)?;
-    match trestle_mentor_server::run::run(&mut link, &start.plan, &demonstration, &start.stop()) {
+    match trestle_mentor_server::run::run(&mut link, &start.plan.experiment, &demonstration, &start.stop()) {
         Ok(()) => Ok(ExitCode::from(TOLD)),
         Err(trestle_mentor_server::run::RunError::Link(error)) => unlinked(error),
         Err(error) => Err(error.into()),

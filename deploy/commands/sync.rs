@@ -3,7 +3,7 @@
 use crate::cli::Sync;
 use crate::program::command;
 use crate::status::ExitCode;
-use crate::stored::read_plan;
+use crate::stored::read_experiment;
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::json;
 use std::os::unix::process::CommandExt;
@@ -48,7 +48,7 @@ fn sender(args: &Sync) -> Vec<String> {
     if own.len() > 1 {
         return own;
     }
-    let plan = read_plan(&RunDir::new(&args.dir)).ok();
-    let foreign = plan.and_then(|plan| registry().foreign(&plan.config.env)?.program);
+    let experiment = read_experiment(&RunDir::new(&args.dir)).ok();
+    let foreign = experiment.and_then(|experiment| registry().foreign(&experiment.config.env)?.program);
     foreign.unwrap_or_else(|| [PYTHON, "-m", "trestle"].map(Into::into).into())
 }

@@ -7,7 +7,7 @@ mod tensors;
 pub(crate) use onnx::model;
 pub(crate) use tensors::file;
 
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 use trestle_qnet::{Encoding, Layer, Layout};
 
 /// A network as it is exported.
@@ -39,9 +39,9 @@ pub(crate) struct Dense {
 }
 
 impl Network {
-    /// The network of `plan` with the flat parameters `params`.
+    /// The network of `experiment` with the flat parameters `params`.
     pub(crate) fn new(
-        plan: &RunPlan,
+        experiment: &Experiment,
         tick: u64,
         features: Vec<String>,
         layout: &Layout,
@@ -68,10 +68,10 @@ impl Network {
             bias: params[layer.bias()].to_vec(),
         };
         Self {
-            env: plan.spec.name.clone(),
+            env: experiment.spec.name.clone(),
             tick,
             features,
-            actions: plan.spec.actions.clone(),
+            actions: experiment.spec.actions.clone(),
             low,
             high,
             categories,

@@ -24,7 +24,8 @@ use trestle_link::iceoryx::{Domain, HeldDomain, Liveness};
 use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
@@ -101,22 +102,21 @@ impl Resolved {
                 demos.map_files(|name, _| copy_of(&base, demos, name).display().to_string());
         }
         let mut from = None;
-        let mut plan = self.plan(draw()?, None);
-        match &followed {
-            None => plan.history = draw()?,
-            Some((former, tick)) => {
-                (plan.history, plan.restarts) = (former.history, former.restarts);
-                plan.generation = next_generation(former.generation)?;
-                plan.resume_tick = Some(*tick);
-                let at = checkpoint::counters(&checkpoint::directory(root, *tick))?;
-                from = Some(format!(
-                    "going on from episode {} and environment step {}, the checkpoint of tick {tick}",
-                    at.episodes, at.env_steps
-                ));
-            }
+        let run = draw()?;
+        let life = match &followed {
+            None => Life { run, history: draw()?, ..Life::default() },
+            Some(former) => Life { run, generation: next_generation(former.generation)?, ..*former },
+        };
+        if let Some(tick) = life.resume_tick {
+            let at = checkpoint::counters(&checkpoint::directory(root, tick))?;
+            from = Some(format!(
+                "going on from episode {} and environment step {}, the checkpoint of tick {tick}",
+                at.episodes, at.env_steps
+            ));
         }
+        let plan = RunPlan { life, experiment: self.experiment() };
         if self.config.run.mode != Mode::Reference {
-            check(&Needs::of(&plan))?;
+            check(&Needs::of(&plan.experiment))?;
         }
         let fresh = followed.is_none();
         if !fresh {
@@ -171,22 +171,19 @@ impl Resolved {
         Ok(checkpoint::newest_resumable(root, &self.former(&RunDir::new(root))?)?.is_some())
     }
 
-    /// The plan of the learner that was the last to work in `dir`, as far as it matters to its checkpoints.
+    /// The plan by which the last learner worked in `dir`, as far as it matters to its checkpoints.
     fn former(&self, dir: &RunDir) -> Result<RunPlan> {
-        let mut former = self.plan(0, None);
-        if let Ok(plan) = dir.read_plan() {
-            (former.history, former.generation) = (plan.history, plan.generation);
-            (former.resume_tick, former.restarts) = (plan.resume_tick, plan.restarts);
-        } else if let Some(life) = checkpoint::newest_life(dir.root(), &former)? {
+        let experiment = self.experiment();
+        let life = match dir.read_plan() {
+            Ok(plan) => plan.life,
             // A plan that cannot be read any more is not needed to go on.
-            (former.history, former.generation) = (life.history, life.generation);
-            former.resume_tick = Some(life.tick);
-        }
-        Ok(former)
+            Err(_) => checkpoint::newest_life(dir.root(), &experiment)?.unwrap_or_default(),
+        };
+        Ok(RunPlan { life, experiment })
     }
 
-    /// The plan of the learner to follow, and the tick of the newest checkpoint that this configuration can go on from.
-    fn check_resume(&self, dir: &RunDir) -> Result<(RunPlan, u64)> {
+    /// The life of the learner to follow, from the newest checkpoint on that this configuration can go on from.
+    fn check_resume(&self, dir: &RunDir) -> Result<Life> {
         ensure!(
             self.config.run.mode != Mode::Reference,
             "run.mode = reference; accepted with --resume: lockstep, free"
@@ -203,7 +200,7 @@ impl Resolved {
         }
         let former = self.former(dir)?;
         match checkpoint::newest_resumable(dir.root(), &former)? {
-            Some((tick, _)) => Ok((former, tick)),
+            Some((tick, _)) => Ok(Life { resume_tick: Some(tick), ..former.life }),
             None if checkpoint::any_complete(dir.root())? => bail!(
                 "--resume: the run cannot go on from any of the checkpoints in {root}, for the reasons above; accepted: \
                  --overwrite, which begins anew"
@@ -224,6 +221,11 @@ impl Prepared {
         &self.plan
     }
 
+    /// What the run computes.
+    pub(crate) fn experiment(&self) -> &Experiment {
+        &self.plan.experiment
+    }
+
     /// Where the run goes on from, in words, if it does not begin anew.
     pub(crate) fn from(&self) -> Option<&str> {
         self.from.as_deref()
@@ -236,7 +238,7 @@ impl Prepared {
 
     /// The place of the run's shared memory.
     pub(crate) fn create_domain(&self) -> Result<HeldDomain> {
-        Ok(Domain::create(self.plan.run)?)
+        Ok(Domain::create(self.plan.life.run)?)
     }
 
     /// The run has begun to train: what it replaces is of no use any more.
@@ -262,21 +264,21 @@ impl Prepared {
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
     pub(crate) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
-        check(&Needs::of(&self.plan))?;
-        self.plan.run = draw()?;
+        check(&Needs::of(&self.plan.experiment))?;
+        self.plan.life.run = draw()?;
         self.replace_learner(tick)
     }
 
     /// Makes the directory ready for another learner, which goes on from checkpoint `tick` or from the beginning.
     pub(crate) fn replace_learner(&mut self, tick: Option<u64>) -> Result<()> {
-        self.plan.resume_tick = tick;
-        self.plan.generation = next_generation(self.plan.generation)?;
+        self.plan.life.resume_tick = tick;
+        self.plan.life.generation = next_generation(self.plan.life.generation)?;
         self.count_restart()
     }
 
     /// Notes that one process more has been started again.
     pub(crate) fn count_restart(&mut self) -> Result<()> {
-        self.plan.restarts += 1;
+        self.plan.life.restarts += 1;
         self.write_plan()
     }
 
@@ -436,7 +438,7 @@ fn next_generation(generation: u16) -> Result<u16> {
 /// is known to be dead is removed. A copy of a directory names the run of the original, which may be alive.
 fn clear_away(dir: &RunDir, fence: Option<&Fence>) {
     let Ok(plan) = dir.read_plan() else { return };
-    let domain = Domain::of(plan.run);
+    let domain = Domain::of(plan.life.run);
     let left = match domain.liveness() {
         Liveness::Dead => true,
         Liveness::Unknown => fence.is_some_and(Fence::holds),

@@ -46,7 +46,7 @@ impl Fence {
                     return Ok(Self(None));
                 }
             }
-            let alive = RunDir::new(root).read_plan().is_ok_and(|plan| Domain::of(plan.run).is_alive());
+            let alive = RunDir::new(root).read_plan().is_ok_and(|plan| Domain::of(plan.life.run).is_alive());
             if alive || start.elapsed() >= FENCE_WAIT {
                 bail!(
                     "{}: a run is in progress there, held by {}; accepted: another --out, or to wait for its end",

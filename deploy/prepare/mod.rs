@@ -1,6 +1,6 @@
 //! From a configuration to a run that is ready to start, or a refusal that leaves nothing behind.
 //!
-//! - `resolve`: the configuration meets its environment and its demonstrations, and becomes a plan;
+//! - `resolve`: the configuration meets its environment and its demonstrations, and becomes an experiment;
 //! - `possible`: whether the environment can be in what was demonstrated;
 //! - `probes`: what the machine must offer;
 //! - `fence`: the lock of a run's directory;

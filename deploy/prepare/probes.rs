@@ -13,8 +13,8 @@ use std::io::Write;
 use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::Path;
 use trestle_link::iceoryx::services::Sizes;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::own_file::{cannot_link, cannot_sync};
-use trestle_proto::plan::RunPlan;
 
 const SHM: &str = "/dev/shm";
 /// Stack of a process's first thread that is enough for all commands, bytes.
@@ -41,10 +41,10 @@ pub(crate) struct Needs {
 }
 
 impl Needs {
-    /// Of the run of `plan`.
-    pub(crate) fn of(plan: &RunPlan) -> Self {
-        let sizes = Sizes::of(plan);
-        let actors = u64::from(plan.config.run.actors);
+    /// Of a run of `experiment`.
+    pub(crate) fn of(experiment: &Experiment) -> Self {
+        let sizes = Sizes::of(experiment);
+        let actors = u64::from(experiment.config.run.actors);
         // Adam's two moments of each parameter, with a header; a segment of shared memory; iceoryx2's books.
         let optimizer = 8 * sizes.acting_words() as u64 + (64 << 10);
         let segment = sizes.largest_segment_bytes();

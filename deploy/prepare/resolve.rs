@@ -1,4 +1,4 @@
-//! From a configuration to a plan, or a refusal. Nothing is written here.
+//! From a configuration to an experiment, or a refusal. Nothing is written here.
 
 use super::possible;
 use super::probes::Needs;
@@ -13,8 +13,8 @@ use trestle_algorithm::summary::{Summary, summarise, unreachable};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, PLAN, Threshold};
+use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::limits::MAX_TEXT_BYTES;
-use trestle_proto::plan::{MentorPart, RunPlan};
 use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::space::EnvSpec;
@@ -157,15 +157,15 @@ fn meet(mut config: Config) -> Result<Resolved> {
         None
     };
     let resolved = Resolved { config, spec, mentors };
-    let plan = resolved.plan(0, None);
-    let run = &plan.config.run;
+    let experiment = resolved.experiment();
+    let run = &experiment.config.run;
     ensure!(
-        !run.stop_when_solved || plan.threshold().is_some(),
+        !run.stop_when_solved || experiment.threshold().is_some(),
         "run.stop_when_solved = true, but {} has no return that counts as solved; accepted: false, or eval.threshold",
-        plan.spec.name
+        experiment.spec.name
     );
-    trestle_qnet::network_of(&plan)?;
-    trestle_qnet::kernels_of(&plan)?;
+    trestle_qnet::network_of(&experiment)?;
+    trestle_qnet::kernels_of(&experiment)?;
     Ok(resolved)
 }
 
@@ -236,8 +236,8 @@ impl Resolved {
         warnings
     }
 
-    /// What the run's processes need to know.
-    pub(super) fn plan(&self, run: u64, resume_tick: Option<u64>) -> RunPlan {
+    /// What the run computes.
+    pub(super) fn experiment(&self) -> Experiment {
         let part = |(name, demonstration): &(String, Demonstration)| MentorPart {
             name: name.clone(),
             transitions: demonstration.n_transitions(),
@@ -245,21 +245,16 @@ impl Resolved {
         // Shaping and learned bridges need a demonstration, but no mentor-server.
         let mentors = self.mentors.as_ref().filter(|_| self.config.run.algo.has_mentor());
         let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
-        RunPlan {
-            run,
-            history: 0,
+        Experiment {
             config: self.config.clone(),
             spec: self.spec.clone(),
             mentors: mentors.into_iter().flat_map(|mentors| &mentors.each).map(part).collect(),
             waypoints: waypoints.map(|mentors| mentors.all.waypoints()),
-            resume_tick,
-            restarts: 0,
-            generation: 0,
         }
     }
 
     /// What a run takes of the machine, at the most.
     pub(crate) fn needs(&self) -> Needs {
-        Needs::of(&self.plan(0, None))
+        Needs::of(&self.experiment())
     }
 }

@@ -131,7 +131,7 @@ impl Child {
 
 /// Starts every process of the run; their ends, and the learner's progress, come through `events`.
 pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Report>) -> Result<Vec<Child>> {
-    let run = &prepared.plan().config.run;
+    let run = &prepared.experiment().config.run;
     let mut roles = vec![Role::Learner];
     if run.algo.has_mentor() {
         roles.push(Role::MentorServer);
@@ -161,7 +161,7 @@ pub(super) fn start(
     let path = dir.log(&role.to_string());
     let log = log_file::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
     let foreign = match role {
-        Role::Actor(_) => registry().foreign(&prepared.plan().config.env),
+        Role::Actor(_) => registry().foreign(&prepared.experiment().config.env),
         Role::Learner | Role::MentorServer => None,
     };
     let elsewhere = foreign.as_ref().and_then(|foreign| foreign.program.as_deref());
@@ -174,8 +174,8 @@ pub(super) fn start(
         Role::MentorServer => command.arg("mentor-server"),
         Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
     };
-    if let (Role::Actor(_), Mode::Free) = (role, prepared.plan().config.run.mode) {
-        let incarnation = Incarnation::new(prepared.plan().generation, replacements);
+    if let (Role::Actor(_), Mode::Free) = (role, prepared.experiment().config.run.mode) {
+        let incarnation = Incarnation::new(prepared.plan().life.generation, replacements);
         command.arg("--incarnation").arg(incarnation.to_string());
     }
     command.arg("--run").arg(dir.root()).arg("--watch-stdin");

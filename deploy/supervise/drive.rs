@@ -134,7 +134,7 @@ impl Watch<'_, '_> {
 
     /// Takes in all signs of life, and notes who counts as dead. Returns whether a process was asked to leave.
     fn signs_of_life(&mut self) -> bool {
-        let deadlines = &self.replacing.plan().config.supervise;
+        let deadlines = &self.replacing.experiment().config.supervise;
         let mut asked = false;
         for child in self.children.iter_mut().filter(|child| child.running && child.fault.is_none()) {
             let signs = child.line.beat(deadlines);

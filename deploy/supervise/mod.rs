@@ -50,7 +50,7 @@ pub(crate) fn run(prepared: Prepared, held: HeldSignals, quiet: bool) -> Result<
         let mut prepared = prepared;
         let mut signals = Signals::new()?;
         drop(held);
-        let display = Display::new(&prepared.plan().config.run, quiet);
+        let display = Display::new(&prepared.experiment().config.run, quiet);
         let outcome = supervise(&mut prepared, &mut signals, &display).await;
         display.finish();
         outcome
@@ -65,7 +65,7 @@ pub(crate) async fn supervise(
     display: &Display,
 ) -> Result<Ended> {
     let plan = prepared.plan();
-    let mut restarts = Restarts::new(plan.config.supervise.restarts, plan.resume_tick);
+    let mut restarts = Restarts::new(plan.experiment.config.supervise.restarts, plan.life.resume_tick);
     loop {
         let death = match attempt(prepared, signals, display).await? {
             ControlFlow::Break(ended) => return Ok(ended),

@@ -12,8 +12,8 @@ use std::time::Instant;
 use tokio::sync::mpsc;
 use trestle_link::iceoryx::Services;
 use trestle_proto::config::Mode;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{HANDSHAKE, RESTART_BACKOFF, SETTLE};
-use trestle_proto::plan::RunPlan;
 
 /// What replaces single processes of a run in free mode.
 pub(super) struct Replacing<'a> {
@@ -47,7 +47,7 @@ impl<'a> Replacing<'a> {
             How::Exited(status) => status.signal(),
             How::Lingering(_) => Some(SIGKILL),
         };
-        match (self.prepared.plan().config.run.mode, role, signal) {
+        match (self.prepared.experiment().config.run.mode, role, signal) {
             // There may be no shared memory left for what it does, and a start of all looks for that first.
             (Mode::Free, _, Some(SIGBUS)) => false,
             // A learner that fails by itself may have been brought to it by what the others hold or send.
@@ -61,8 +61,8 @@ impl<'a> Replacing<'a> {
         self.prepared
     }
 
-    pub(super) fn plan(&self) -> &RunPlan {
-        self.prepared.plan()
+    pub(super) fn experiment(&self) -> &Experiment {
+        self.prepared.experiment()
     }
 
     /// The run has begun to train.
@@ -97,7 +97,7 @@ impl<'a> Replacing<'a> {
         let at = match self.accounts.iter().position(|(role, ..)| *role == death.role) {
             Some(at) => at,
             None => {
-                let allowed = self.prepared.plan().config.supervise.restarts;
+                let allowed = self.prepared.experiment().config.supervise.restarts;
                 self.accounts.push((death.role, Restarts::of_process(allowed, newest), 0));
                 self.accounts.len() - 1
             }

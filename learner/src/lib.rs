@@ -10,3 +10,10 @@ mod timeline;
 #[cfg(test)]
 #[path = "../../algorithm/src/testing.rs"]
 mod testing;
+
+/// The plan of [`testing::experiment`].
+#[cfg(test)]
+fn plan(sets: &[&str]) -> trestle_proto::plan::RunPlan {
+    let life = trestle_proto::plan::Life { run: 1, history: 7, ..Default::default() };
+    trestle_proto::plan::RunPlan { life, experiment: testing::experiment(sets) }
+}

@@ -5,7 +5,7 @@
 //!
 //! *Lockstep* is this loop with a barrier. A round, which is called a tick there, has exactly one batch of each actor, in
 //! the actors' order. Weights are published only when every actor has sent its batch, so none can be reading others, and
-//! the outcome is a function of the plan alone. With `run.lag = 1` the orders for the next tick go out before the gradient
+//! the outcome is a function of the experiment alone. With `run.lag = 1` the orders for the next tick go out before the gradient
 //! steps, so that actors and learner work at the same time, the actors with the weights of one tick earlier.
 //!
 //! *Free mode* takes whichever batches have come. Actors and the mentor-server may be replaced meanwhile, and this process
@@ -63,7 +63,7 @@ pub fn run(
     progress: impl FnMut(&Progress),
 ) -> Result<RunResult, RunError> {
     let mentor = welcome(link, plan, stop)?;
-    let resumed = match plan.resume_tick {
+    let resumed = match plan.life.resume_tick {
         None => {
             let session = Session::new(plan, dir, mentor, progress)?;
             Resumed { session, behaviour: None, pending: Vec::new() }
@@ -83,11 +83,13 @@ fn welcome(
 ) -> Result<Option<MentorTransitions>, RunError> {
     loop {
         link.welcome(stop)?;
-        if plan.mentor_len() == 0 {
+        if plan.experiment.mentor_len() == 0 {
             return Ok(None);
         }
         match fetch_transitions(link, plan) {
-            Err(RunError::Link(error)) if plan.config.run.mode == Mode::Free && error.is_lost_peer() => {
+            Err(RunError::Link(error))
+                if plan.experiment.config.run.mode == Mode::Free && error.is_lost_peer() =>
+            {
                 tracing::warn!("the mentor-server is lost: {error}");
             }
             transitions => return Ok(Some(transitions?)),
@@ -142,7 +144,8 @@ struct Loop<'a, L> {
 impl<'a, L: LearnerLink> Loop<'a, L> {
     fn new(link: &'a mut L, plan: &'a RunPlan, resumed: Resumed<'a>, stop: Stop<'a>) -> Self {
         let Resumed { session, behaviour, pending } = resumed;
-        let run = &plan.config.run;
+        let RunPlan { experiment, life } = plan;
+        let run = &experiment.config.run;
         let (actors, barrier) = (run.actors as usize, run.mode != Mode::Free);
         // In lockstep every actor is there, and goes on from its snapshot.
         let ticks = session.tick() + u64::from(!pending.is_empty());
@@ -151,12 +154,12 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         Self {
             barrier,
             came: pending.into_iter().map(Came::Batch).collect(),
-            spare: vec![Batch::with_capacity(run.rollout as usize, plan.spec.obs_dim()); actors],
+            spare: vec![Batch::with_capacity(run.rollout as usize, experiment.spec.obs_dim()); actors],
             answers: Answers::default(),
             seats: vec![seat; actors],
-            orders: Orders { run: plan.run, generation: plan.generation, ..Orders::default() },
+            orders: Orders { run: life.run, generation: life.generation, ..Orders::default() },
             snapshots: vec![None; actors],
-            saved: plan.resume_tick,
+            saved: life.resume_tick,
             link,
             plan,
             session,
@@ -174,7 +177,10 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         if !self.barrier {
             self.session.start()?;
         }
-        if self.plan.resume_tick.is_some() && self.plan.mentor_len() > 0 && !self.give_history(false)? {
+        if self.plan.life.resume_tick.is_some()
+            && self.plan.experiment.mentor_len() > 0
+            && !self.give_history(false)?
+        {
             return self.leave(true);
         }
         if self.barrier {
@@ -182,7 +188,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             self.session.start()?;
         }
         self.begin()?;
-        let lag = self.plan.config.run.lag == 1;
+        let lag = self.plan.experiment.config.run.lag == 1;
         while !self.session.done() {
             logging::set_tick(self.session.tick() + 1);
             self.receive()?;
@@ -224,7 +230,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         let tick = self.session.tick();
         match self.behaviour.take() {
             Some(acting) => {
-                let version = tick.saturating_sub(u64::from(self.plan.config.run.lag));
+                let version = tick.saturating_sub(u64::from(self.plan.experiment.config.run.lag));
                 self.link.send_acting(version, &acting)?;
                 self.orders.weights_version = version;
             }
@@ -256,7 +262,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             });
             return Ok(());
         }
-        let most = self.seats.len() * self.plan.window() as usize;
+        let most = self.seats.len() * self.plan.experiment.window() as usize;
         let mut timeout = WAIT_SLICE;
         while self.came.len() < most && self.next(timeout)? {
             timeout = Duration::ZERO;
@@ -312,7 +318,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             ));
         }
         let granted = self.orders.granted(actor, seat.incarnation);
-        let (count, rollout) = (header.count, self.plan.config.run.rollout);
+        let (count, rollout) = (header.count, self.plan.experiment.config.run.rollout);
         if count != rollout || seat.batches >= granted {
             return unexpected(format!(
                 "a batch of actor {actor} with {count} transitions, after {} batches; it is granted {granted} of {rollout}",
@@ -364,7 +370,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     /// An actor has announced itself. In lockstep it was expected.
     fn join(&mut self, actor: u32, number: u64) -> Result<(), RunError> {
         let incarnation = Incarnation::from(u32::try_from(number).unwrap_or(u32::MAX));
-        let (generation, present) = (incarnation.generation(), self.plan.generation);
+        let (generation, present) = (incarnation.generation(), self.plan.life.generation);
         let seat = &mut self.seats[actor as usize];
         let known = seat.is_some_and(|seat| seat.incarnation >= incarnation);
         if generation > present || (self.barrier && !known) {
@@ -386,7 +392,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         while !self.came.is_empty() {
             // In lockstep this is the whole tick.
             let count = self.came.len().min(self.seats.len());
-            mentored = self.plan.mentor_len() == 0 || self.past_end() || self.observe(count)?;
+            mentored = self.plan.experiment.mentor_len() == 0 || self.past_end() || self.observe(count)?;
             if !mentored || self.past_end() {
                 self.pass_over();
                 break;
@@ -494,8 +500,12 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         self.orders.env_steps = self.steps_received();
         for (share, seat) in self.orders.shares.iter_mut().zip(&self.seats) {
             let Some(Seat { incarnation, batches, .. }) = *seat else { continue };
-            *share =
-                Share { counted: batches, granted: batches + self.plan.window(), incarnation, reserved: 0 };
+            *share = Share {
+                counted: batches,
+                granted: batches + self.plan.experiment.window(),
+                incarnation,
+                reserved: 0,
+            };
         }
     }
 
@@ -627,28 +637,29 @@ fn is_lost_mentor(error: &LinkError) -> bool {
 }
 
 fn request(plan: &RunPlan, round: u64, first_index: u64, op: u32, count: usize) -> ObserveRequest {
-    let (run, count, obs_dim) = (plan.run, count as u32, plan.spec.obs_dim() as u32);
+    let (run, count, obs_dim) = (plan.life.run, count as u32, plan.experiment.spec.obs_dim() as u32);
     ObserveRequest { run, round, first_index, op, count, obs_dim, reserved: 0 }
 }
 
 /// Asks the mentor-server for the mentor's transitions, piece by piece.
 fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
-    let mut transitions = MentorTransitions::new(plan.spec.obs_dim());
+    let experiment = &plan.experiment;
+    let mut transitions = MentorTransitions::new(experiment.spec.obs_dim());
     let mut words = Vec::new();
-    while transitions.len() < plan.mentor_len() {
+    while transitions.len() < experiment.mentor_len() {
         let before = transitions.len();
         let request = QueryRequest {
-            run: plan.run,
+            run: plan.life.run,
             op: TRANSITIONS,
             first: before as u32,
-            count: ((plan.mentor_len() - before) as u32).min(MAX_QUERY_ROWS),
-            obs_dim: plan.spec.obs_dim() as u32,
+            count: ((experiment.mentor_len() - before) as u32).min(MAX_QUERY_ROWS),
+            obs_dim: experiment.spec.obs_dim() as u32,
         };
         link.query(&request, &[], &mut words)?;
         transitions.decode(&words)?;
-        if transitions.len() == before || transitions.len() > plan.mentor_len() {
+        if transitions.len() == before || transitions.len() > experiment.mentor_len() {
             let text =
-                format!("{} mentor transitions, {} are expected", transitions.len(), plan.mentor_len());
+                format!("{} mentor transitions, {} are expected", transitions.len(), experiment.mentor_len());
             return Err(LinkError::Unexpected(text).into());
         }
     }
@@ -666,14 +677,14 @@ fn rebuild_mentor(
     let mut batch = Batch::default();
     let mut index = replay.first_index();
     while index < replay.next_index() {
-        let count = replay.fill_batch(index, plan.config.run.rollout as usize, &mut batch);
+        let count = replay.fill_batch(index, plan.experiment.config.run.rollout as usize, &mut batch);
         let part = Part::of(&batch);
         link.teach(&request(plan, round, index, REBUILD, 1), &[&part.header(), part.payload].concat())?;
         pulse::step();
         index += count as u64;
     }
     let records = agent.annotation_records();
-    let record = record_words(plan.spec.obs_dim());
+    let record = record_words(plan.experiment.spec.obs_dim());
     for chunk in records.chunks(record * MAX_QUERY_ROWS as usize) {
         let request = request(plan, round, replay.next_index(), RESTORE, chunk.len() / record);
         link.teach(&request, chunk)?;

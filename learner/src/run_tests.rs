@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::testing::{World, demonstration, plan};
+use crate::plan;
+use crate::testing::{World, demonstration};
 use std::sync::mpsc::channel;
 use std::thread;
 use trestle_link::ActorLink;
@@ -28,21 +29,26 @@ struct Played<'a> {
 
 impl Played<'_> {
     fn joins(&mut self, incarnation: u64) {
-        let header = ReplyHeader { run: self.plan.run, number: incarnation, actor: self.index, kind: JOINED };
+        let header =
+            ReplyHeader { run: self.plan.life.run, number: incarnation, actor: self.index, kind: JOINED };
         self.link.send_reply(&Reply { header, payload: Vec::new() }).unwrap();
     }
 
     /// Sends a batch whose first transition has number `first_seq`.
     fn sends(&mut self, incarnation: u32, first_seq: u64, count: u32) {
         let (mut batch, _) = self.world.batch(self.index, count);
-        let run = self.plan.run;
+        let run = self.plan.life.run;
         batch.header = BatchHeader { run, incarnation: incarnation.into(), first_seq, ..batch.header };
         self.link.send_batch(&batch).unwrap();
     }
 
     fn evaluates(&mut self, evaluation: u64, total_reward: f64) {
-        let header =
-            ReplyHeader { run: self.plan.run, number: evaluation + 1, actor: self.index, kind: EVALUATION };
+        let header = ReplyHeader {
+            run: self.plan.life.run,
+            number: evaluation + 1,
+            actor: self.index,
+            kind: EVALUATION,
+        };
         let episode = EvaluationEpisode {
             total_reward,
             length: 1,
@@ -90,7 +96,7 @@ fn played_with(sets: &[&str], play: impl FnOnce(&mut [Played<'_>]) + Send) -> Re
     let (mut learner, _mentor, actors) = local::connect(&plan);
     thread::scope(|scope| {
         let plan = &plan;
-        let actor = |(index, link)| Played { plan, index, link, world: World::new(plan, 1) };
+        let actor = |(index, link)| Played { plan, index, link, world: World::new(&plan.experiment, 1) };
         let mut actors: Vec<_> = (0..).zip(actors).map(actor).collect();
         scope.spawn(move || play(&mut actors));
         run(&mut learner, plan, &dir, &|| false, |_| {})
@@ -263,7 +269,7 @@ fn a_run_with_a_mentor_ends_within_what_has_come() {
     let result = thread::scope(|scope| {
         let plan = &plan;
         scope.spawn(move || {
-            let mut strict = Strict { mentor: demonstration(plan).unwrap(), next_index: 0 };
+            let mut strict = Strict { mentor: demonstration(&plan.experiment).unwrap(), next_index: 0 };
             while is_over.try_recv() == Err(std::sync::mpsc::TryRecvError::Empty) {
                 // The learner's end is gone when the run is over.
                 if mentor.serve(&mut strict, WAIT_SLICE).is_err() {
@@ -272,7 +278,7 @@ fn a_run_with_a_mentor_ends_within_what_has_come() {
             }
         });
         let link = actors.remove(0);
-        let mut actor = Played { plan, index: 0, link, world: World::new(plan, 1) };
+        let mut actor = Played { plan, index: 0, link, world: World::new(&plan.experiment, 1) };
         scope.spawn(move || {
             actor.joins(0);
             assert!(actor.is_counted(0, 0));

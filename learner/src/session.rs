@@ -20,11 +20,12 @@ use trestle_proto::acting::Acting;
 use trestle_proto::batch::{Batch, Tally};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{GuideKind, Mode};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::orders::Collect;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::Evaluation;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
@@ -68,7 +69,8 @@ pub enum SessionError {
 
 /// A training run between its first and its last tick.
 pub struct Session<'a> {
-    plan: &'a RunPlan,
+    experiment: &'a Experiment,
+    life: &'a Life,
     dir: &'a RunDir,
     agent: Agent,
     recorder: Recorder,
@@ -153,15 +155,17 @@ impl<'a> Session<'a> {
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Self, SessionError> {
-        let timeline = Timeline::create(plan, dir, mentor.as_ref());
+        let RunPlan { experiment, life } = plan;
+        let timeline = Timeline::create(experiment, dir, mentor.as_ref());
         Ok(Self {
-            plan,
+            experiment,
+            life,
             dir,
-            agent: Agent::new(plan, mentor)?,
+            agent: Agent::new(experiment, mentor)?,
             timeline,
             candidate: (0, Vec::new()),
             best: None,
-            recorder: Recorder::create(dir.root(), settings(plan))?,
+            recorder: Recorder::create(dir.root(), settings(experiment))?,
             saver: Saver::new(dir.root()),
             tick: 0,
             evaluations: 0,
@@ -189,19 +193,21 @@ impl<'a> Session<'a> {
         mentor: Option<MentorTransitions>,
         progress: impl FnMut(&Progress) + 'a,
     ) -> Result<Resumed<'a>, SessionError> {
+        let RunPlan { experiment, life } = plan;
         let transitions = mentor.clone();
-        let loaded = checkpoint::load(&checkpoint::directory(dir.root(), tick), plan, mentor)?;
+        let loaded = checkpoint::load(&checkpoint::directory(dir.root(), tick), experiment, mentor)?;
         let state: State = codec::decode(KIND, &loaded.run)?;
         let counters = loaded.agent.counters();
         let session = Self {
-            plan,
+            experiment,
+            life,
             dir,
-            timeline: Timeline::resume(plan, dir, transitions.as_ref(), counters),
+            timeline: Timeline::resume(experiment, dir, transitions.as_ref(), counters),
             candidate: (0, Vec::new()),
             // Also one of evaluations that the run goes back behind: its weights are there.
             best: checkpoint::best_so_far(dir.root()),
             agent: loaded.agent,
-            recorder: Recorder::resume(dir.root(), settings(plan), state.recorder, counters)?,
+            recorder: Recorder::resume(dir.root(), settings(experiment), state.recorder, counters)?,
             saver: Saver::after(dir.root(), tick)?,
             tick: loaded.tick,
             evaluations: state.evaluations,
@@ -243,12 +249,12 @@ impl<'a> Session<'a> {
     /// The work that makes the actors collect for tick `number` with weights `version`.
     pub fn collect(&self, number: u64, version: u64) -> Collect {
         Collect {
-            run: self.plan.run,
+            run: self.life.run,
             round: number,
             weights_version: version,
             // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
-            env_steps: (number - 1) * self.plan.steps_per_tick(),
-            steps: self.plan.config.run.rollout,
+            env_steps: (number - 1) * self.experiment.steps_per_tick(),
+            steps: self.experiment.config.run.rollout,
         }
     }
 
@@ -258,12 +264,12 @@ impl<'a> Session<'a> {
         let due = self.due.take()?;
         // In free mode it may have had to wait for the one before, and is played with the weights of now.
         self.ordered =
-            Some(if self.plan.config.run.mode == Mode::Free { self.agent.counters() } else { due });
+            Some(if self.experiment.config.run.mode == Mode::Free { self.agent.counters() } else { due });
         let (tick, weights) = &mut self.candidate;
         *tick = self.tick;
         weights.clear();
         weights.extend_from_slice(self.agent.weights());
-        Some((self.evaluations, self.plan.config.eval.episodes))
+        Some((self.evaluations, self.experiment.config.eval.episodes))
     }
 
     /// Takes one actor's batch in; the batches of a tick come in the order of the actors. Returns how many transitions
@@ -307,7 +313,7 @@ impl<'a> Session<'a> {
         self.stats.merge(&self.agent.train(pulse::step)?);
         self.tick = number;
         let now = self.agent.counters();
-        let every = self.plan.config.eval.every;
+        let every = self.experiment.config.eval.every;
         if now.episodes / every > self.evaluated_at.episodes / every {
             self.due = Some(now);
             self.evaluated_at = now;
@@ -344,8 +350,8 @@ impl<'a> Session<'a> {
     /// Whether the run stops with `tick` because it is solved. The answer to an evaluation comes while the next tick, with a
     /// lag the one after it, is under way: that tick is the last one wherever the answer came earlier, too.
     fn solved(&self, tick: u64) -> bool {
-        let run = &self.plan.config.run;
-        let last = |by: Counters| by.env_steps / self.plan.steps_per_tick() + 1 + u64::from(run.lag);
+        let run = &self.experiment.config.run;
+        let last = |by: Counters| by.env_steps / self.experiment.steps_per_tick() + 1 + u64::from(run.lag);
         let now = |by| run.mode == Mode::Free || tick >= last(by);
         run.stop_when_solved && self.solved_by.is_some_and(now)
     }
@@ -426,7 +432,7 @@ impl<'a> Session<'a> {
 
     /// Whether a checkpoint is to be taken when the count of environment steps goes from `before` to `after`.
     pub fn checkpoint_due(&self, before: u64, after: u64) -> bool {
-        let every = self.plan.config.checkpoint.every_env_steps;
+        let every = self.experiment.config.checkpoint.every_env_steps;
         every > 0 && after / every > before / every
     }
 
@@ -452,8 +458,8 @@ impl<'a> Session<'a> {
             guide: self.guide[1],
         };
         let run = codec::encode(KIND, &state)?;
-        let (plan, tick, agent) = (self.plan, self.tick, &self.agent);
-        let cut = Cut { plan, tick, agent, actors, run: &run, taken };
+        let (experiment, life, tick, agent) = (self.experiment, self.life, self.tick, &self.agent);
+        let cut = Cut { experiment, life, tick, agent, actors, run: &run, taken };
         self.saver.save(&cut, records)?;
         self.write_tables()?;
         self.spent.checkpoints += start.elapsed();
@@ -469,12 +475,13 @@ impl<'a> Session<'a> {
         self.write_tables()?;
         let gauges = self.gauges();
         // In free mode the supervisor has counted since how many processes it has replaced.
-        let newest = if self.plan.config.run.mode == Mode::Free { self.dir.read_plan().ok() } else { None };
-        let restarts = newest.map_or(self.plan.restarts, |plan| plan.restarts);
+        let newest =
+            if self.experiment.config.run.mode == Mode::Free { self.dir.read_plan().ok() } else { None };
+        let restarts = newest.map_or(self.life.restarts, |plan| plan.life.restarts);
         let counters = self.agent.counters();
-        let samples = counters.grad_steps * self.plan.config.learner.batch as u64;
+        let samples = counters.grad_steps * self.experiment.config.learner.batch as u64;
         let mentor_samples =
-            self.agent.mentor_summary(0..self.plan.mentor_len()).map(|mentor| [samples, mentor.used]);
+            self.agent.mentor_summary(0..self.experiment.mentor_len()).map(|mentor| [samples, mentor.used]);
         let outcome =
             Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted, mentor_samples };
         Ok(self.recorder.finish(&counters, &gauges, outcome)?)
@@ -482,11 +489,11 @@ impl<'a> Session<'a> {
 
     /// Brings `mentor.csv` and `actors.csv` up to date.
     fn write_tables(&self) -> Result<(), SessionError> {
-        if self.plan.config.run.mode == Mode::Free {
+        if self.experiment.config.run.mode == Mode::Free {
             write_actors(self.dir.root(), &self.actors)?;
         }
         let Some(rows) = self.agent.mentor_rows() else { return Ok(()) };
-        Ok(write_mentor(self.dir.root(), &self.plan.mentors, self.plan.spec.obs_dim(), rows)?)
+        Ok(write_mentor(self.dir.root(), &self.experiment.mentors, self.experiment.spec.obs_dim(), rows)?)
     }
 
     fn show_progress(&mut self) {
@@ -496,7 +503,7 @@ impl<'a> Session<'a> {
     }
 
     fn gauges(&self) -> Gauges {
-        let config = &self.plan.config;
+        let config = &self.experiment.config;
         let share = |time: Duration| time.as_secs_f64() / self.since.elapsed().as_secs_f64();
         let mut gauges = Gauges {
             exploration_rate: schedule::epsilon(&config.exploration, self.agent.counters().env_steps),
@@ -531,7 +538,7 @@ impl<'a> Session<'a> {
                 total_reward: self.guide_return.unwrap_or(f64::NAN),
             });
         }
-        if let Some(all) = self.mentor_gauges("", 0..self.plan.mentor_len()) {
+        if let Some(all) = self.mentor_gauges("", 0..self.experiment.mentor_len()) {
             gauges.feasible_frac = all.feasible_frac;
             gauges.bridged_frac = all.bridged_frac;
             gauges.e_kl_mean = all.e_kl_mean;
@@ -539,9 +546,9 @@ impl<'a> Session<'a> {
             gauges.mentor_loss_frac = self.stats.mentor_frac();
             gauges.searches_cut_short = self.agent.searches_cut_short().map_or(f64::NAN, |n| n as f64);
         }
-        if self.plan.mentors.len() > 1 {
+        if self.experiment.mentors.len() > 1 {
             let mut first = 0;
-            for part in &self.plan.mentors {
+            for part in &self.experiment.mentors {
                 gauges.mentors.extend(self.mentor_gauges(&part.name, first..first + part.transitions));
                 first += part.transitions;
             }
@@ -571,13 +578,13 @@ fn resident_mb() -> f64 {
 }
 
 /// What the recorder must know of the run.
-fn settings(plan: &RunPlan) -> Settings {
-    let (run, eval) = (&plan.config.run, &plan.config.eval);
+fn settings(experiment: &Experiment) -> Settings {
+    let (run, eval) = (&experiment.config.run, &experiment.config.eval);
     Settings {
-        algo: plan.config.arm(),
+        algo: experiment.config.arm(),
         seed: run.seed,
-        env: plan.spec.name.clone(),
-        goal: plan.threshold().map(|threshold| Goal { threshold, tolerance: eval.tolerance }),
+        env: experiment.spec.name.clone(),
+        goal: experiment.threshold().map(|threshold| Goal { threshold, tolerance: eval.tolerance }),
         limits: Limits { episodes: run.episodes, env_steps: run.env_steps },
         metrics_every: METRICS_EVERY,
         progress_every: PROGRESS_EVERY,

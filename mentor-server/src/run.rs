@@ -6,22 +6,22 @@ use trestle_algorithm::mentor::{Mentor, MentorError};
 use trestle_link::{LinkError, MentorHandler, MentorLink, Stop};
 use trestle_link::{logging, pulse};
 use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part, REBUILD, RESTORE};
-use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{
     ANNOTATIONS, BRIDGE, MALFORMED, OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS, TRANSITIONS,
     UNKNOWN_OP,
 };
 
-/// The mentor of `plan`'s run, of its demonstration.
+/// The mentor of `experiment`'s run, of its demonstration.
 ///
 /// # Errors
 /// Settings that do not meet the demonstration.
-pub fn mentor_of(plan: &RunPlan, demonstration: &Demonstration) -> Result<Mentor, MentorError> {
-    let config = &plan.config;
+pub fn mentor_of(experiment: &Experiment, demonstration: &Demonstration) -> Result<Mentor, MentorError> {
+    let config = &experiment.config;
     let (algo, seed) = (config.run.algo, config.run.seed);
-    Mentor::new(demonstration, &config.mentor, algo, &plan.spec, config.learner.replay, seed)
+    Mentor::new(demonstration, &config.mentor, algo, &experiment.spec, config.learner.replay, seed)
 }
 
 /// What ends the mentor-server's process early.
@@ -42,16 +42,16 @@ pub enum RunError {
 /// its fault and does no harm.
 pub fn run(
     link: &mut impl MentorLink,
-    plan: &RunPlan,
+    experiment: &Experiment,
     demonstration: &Demonstration,
     stop: Stop<'_>,
 ) -> Result<(), RunError> {
     let mut server = Server {
-        mentor: mentor_of(plan, demonstration)?,
-        plan,
+        mentor: mentor_of(experiment, demonstration)?,
+        experiment,
         demonstration,
-        obs_dim: plan.spec.obs_dim(),
-        n_actions: plan.spec.n_actions(),
+        obs_dim: experiment.spec.obs_dim(),
+        n_actions: experiment.spec.n_actions(),
         batch: Batch::default(),
         observed: Observed::default(),
         cut_short: 0,
@@ -68,7 +68,7 @@ pub fn run(
 
 struct Server<'a> {
     mentor: Mentor,
-    plan: &'a RunPlan,
+    experiment: &'a Experiment,
     demonstration: &'a Demonstration,
     obs_dim: usize,
     n_actions: usize,
@@ -178,7 +178,7 @@ fn refuse(error: &MentorError) -> u32 {
 
 impl MentorHandler for Server<'_> {
     fn forget(&mut self) {
-        match mentor_of(self.plan, self.demonstration) {
+        match mentor_of(self.experiment, self.demonstration) {
             Ok(mentor) => self.mentor = mentor,
             // The one there is came of the same.
             Err(error) => tracing::error!("{error}"),

@@ -188,7 +188,7 @@ pub struct ActingHeader {
     pub run: u64,
     /// The round after which these weights stood; 0 for the initial ones.
     pub version: u64,
-    /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]).
+    /// The learner's start that they are of ([`crate::plan::Life::generation`]).
     pub generation: u32,
     /// CRC-32C of the payload's bytes.
     pub checksum: u32,

@@ -1,5 +1,5 @@
-//! What Trestle's processes agree on, as plain data: the experiment (configuration, plan, spaces, limits, schedules,
-//! random streams), the messages with their layout and validation, the run directory, and the framing of files.
+//! What Trestle's processes agree on, as plain data: the experiment (configuration, spaces, limits, schedules,
+//! random streams), the plan of a run, the messages with their layout and validation, the run directory, and the framing of files.
 //!
 //! Nothing here sends, waits or starts anything, and this crate depends on no other member of the workspace.
 
@@ -8,6 +8,7 @@ pub mod annotation;
 pub mod batch;
 pub mod codec;
 pub mod config;
+pub mod experiment;
 pub mod incarnation;
 pub mod limits;
 pub mod map_file;

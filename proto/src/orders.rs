@@ -52,7 +52,7 @@ pub struct Orders {
     /// 1: the run is over. An actor stays until it is told to leave: the learner could still die before its result is
     /// written, and another one go on.
     pub stop: u32,
-    /// The learner's start that they are of ([`crate::plan::RunPlan::generation`]). The first orders of a later one than
+    /// The learner's start that they are of ([`crate::plan::Life::generation`]). The first orders of a later one than
     /// before mean that the learner has been replaced: it knows of no actor before that has announced itself anew.
     pub generation: u16,
     /// 0.

@@ -8,7 +8,7 @@
 //!   them, or of a loss of whole rows;
 //! * [`Loss`], [`Adam`], [`clip_grad_norm`]: from values and targets to the next parameters;
 //! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
-//! * [`network_of`], [`kernels_of`]: the shape and the instruction set that a run's plan asks for;
+//! * [`network_of`], [`kernels_of`]: the shape and the instruction set that an experiment asks for;
 //! * [`autodiff`]: the same loss and gradient through candle's automatic differentiation.
 //!
 //! The arithmetic lives in [`kernels`], which picks an instruction set at run time and gives the same bits on

@@ -1,12 +1,12 @@
-//! From a run's plan to the shape of its network, the encoding of its input, and the kernels that compute it.
+//! From an experiment to the shape of its network, the encoding of its input, and the kernels that compute it.
 
 use crate::encode::{Encoding, EncodingError};
 use crate::kernels::{Isa, Kernels};
 use crate::layout::{Layout, LayoutError};
 use trestle_proto::config::{EncodingKind, IsaKind};
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 
-/// A plan that gives no network.
+/// An experiment that gives no network.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// Sizes out of range.
@@ -31,26 +31,26 @@ pub enum PlanError {
     },
 }
 
-/// The network of `plan`, and how an observation becomes its input.
-pub fn network_of(plan: &RunPlan) -> Result<(Layout, Encoding), PlanError> {
-    let spec = &plan.spec;
+/// The network of `experiment`, and how an observation becomes its input.
+pub fn network_of(experiment: &Experiment) -> Result<(Layout, Encoding), PlanError> {
+    let spec = &experiment.spec;
     let (low, high) = (spec.low.clone(), spec.high.clone());
-    let encoding = match plan.config.env.encoding {
+    let encoding = match experiment.config.env.encoding {
         EncodingKind::Coordinates if spec.categories.is_empty() => Encoding::Scale { low, high },
-        EncodingKind::Coordinates => Encoding::Mixed { low, high, sizes: plan.mixed_sizes() },
-        EncodingKind::OneHot if spec.integral => Encoding::OneHot { low, sizes: plan.one_hot_sizes() },
+        EncodingKind::Coordinates => Encoding::Mixed { low, high, sizes: experiment.mixed_sizes() },
+        EncodingKind::OneHot if spec.integral => Encoding::OneHot { low, sizes: experiment.one_hot_sizes() },
         EncodingKind::OneHot => return Err(PlanError::OneHot { env: spec.name.clone() }),
     };
     encoding.validate()?;
-    Ok((Layout::new(&plan.sizes())?, encoding))
+    Ok((Layout::new(&experiment.sizes())?, encoding))
 }
 
-/// The kernels that compute the network of `plan`.
+/// The kernels that compute the network of `experiment`.
 ///
 /// # Errors
-/// The machine lacks the instruction set that the plan asks for.
-pub fn kernels_of(plan: &RunPlan) -> Result<Kernels, PlanError> {
-    let asked = match plan.config.run.isa {
+/// The machine lacks the instruction set that the experiment asks for.
+pub fn kernels_of(experiment: &Experiment) -> Result<Kernels, PlanError> {
+    let asked = match experiment.config.run.isa {
         IsaKind::Auto => Isa::detect(),
         IsaKind::Avx512 => Isa::Avx512,
         IsaKind::Avx2 => Isa::Avx2,

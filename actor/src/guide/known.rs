@@ -1,6 +1,6 @@
 //! A guide that takes the action which is known for the mentor state nearest to where the actor is.
 //!
-//! The mentor's states come with the plan and never change. What the observer has found out about them does, and is
+//! The mentor's states come with the experiment and never change. What the observer has found out about them does, and is
 //! published with the weights: a table with one entry for each mentor transition, the action that the mentor's loss of
 //! it would use, or none.
 
@@ -8,7 +8,7 @@ use trestle_algorithm::similarity::metric::{Metric, MetricError};
 use trestle_algorithm::similarity::{Hit, Similarity};
 use trestle_proto::NONE;
 use trestle_proto::config::GuideKind;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 
 /// The mentor's states, indexed as the mentor-server does it.
 pub struct Known {
@@ -22,17 +22,19 @@ pub struct Known {
 }
 
 impl Known {
-    /// The guide of `plan`'s run; none unless exploration is guided by known actions.
+    /// The guide of `experiment`'s run; none unless exploration is guided by known actions.
     ///
     /// # Errors
     /// Settings that give no state distance.
-    pub fn new(plan: &RunPlan) -> Result<Option<Self>, MetricError> {
-        let mentor = &plan.config.mentor;
-        let (Some(waypoints), Some(e_th)) = (&plan.waypoints, mentor.e_th.known()) else { return Ok(None) };
-        if plan.config.guide() != Some(GuideKind::Known) {
+    pub fn new(experiment: &Experiment) -> Result<Option<Self>, MetricError> {
+        let mentor = &experiment.config.mentor;
+        let (Some(waypoints), Some(e_th)) = (&experiment.waypoints, mentor.e_th.known()) else {
+            return Ok(None);
+        };
+        if experiment.config.guide() != Some(GuideKind::Known) {
             return Ok(None);
         }
-        let metric = Metric::of(mentor, &plan.spec.scale, &waypoints.states)?;
+        let metric = Metric::of(mentor, &experiment.spec.scale, &waypoints.states)?;
         let whitened = metric.whiten_all(&waypoints.states);
         Ok(Some(Self {
             similarity: Similarity::new(whitened, metric.dim(), e_th as f32),

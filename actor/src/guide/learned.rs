@@ -8,7 +8,7 @@ use trestle_algorithm::learned_bridges::{Goal, Pace, Paths, Tracker, draw, paths
 use trestle_algorithm::similarity::Hit;
 use trestle_proto::acting::{Acting, OwnPlaces, Room};
 use trestle_proto::batch::Tally;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::rng::Stream;
 use trestle_proto::space::Success;
 use trestle_qnet::{Layout, Workspace, argmax, forward, kernels_of};
@@ -65,26 +65,26 @@ pub struct Progress {
 }
 
 impl Learned {
-    /// The guide of `plan`'s run; none without learned bridges.
+    /// The guide of `experiment`'s run; none without learned bridges.
     ///
     /// # Errors
     /// Settings that give no network.
-    pub fn new(plan: &RunPlan) -> Result<Option<Self>, ActorError> {
-        let Some((goal, layout)) = policy_of(plan)? else { return Ok(None) };
-        let Some(paths) = paths_of(plan, &goal) else { return Ok(None) };
-        let pace = Pace::of(&plan.config.mentor.learned);
+    pub fn new(experiment: &Experiment) -> Result<Option<Self>, ActorError> {
+        let Some((goal, layout)) = policy_of(experiment)? else { return Ok(None) };
+        let Some(paths) = paths_of(experiment, &goal) else { return Ok(None) };
+        let pace = Pace::of(&experiment.config.mentor.learned);
         let (tracker, own) = (Tracker::default(), OwnPlaces::default());
         let progress = Progress { tracker, total_reward: 0.0, own };
         let place = Vec::with_capacity(goal.dim());
         Ok(Some(Self {
             route: Route { goal, paths, pace, place, stack: Vec::new(), hits: Vec::new() },
-            workspace: Workspace::with_kernels(&layout, 1, kernels_of(plan)?),
+            workspace: Workspace::with_kernels(&layout, 1, kernels_of(experiment)?),
             input: vec![0.0; layout.input()],
             outputs: vec![0.0; layout.output()],
             progress,
             tally: Tally::default(),
-            success: plan.success(),
-            room: plan.own_room(),
+            success: experiment.success(),
+            room: experiment.own_room(),
             layout,
         }))
     }

@@ -12,7 +12,7 @@ pub use learned::{Learned, Progress};
 use crate::worker::ActorError;
 use trestle_proto::acting::Acting;
 use trestle_proto::batch::Tally;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::rng::Stream;
 
 /// What guides exploring steps.
@@ -24,13 +24,14 @@ pub enum Guide {
 }
 
 impl Guide {
-    /// The guide of `plan`'s run; none without guided exploration.
+    /// The guide of `experiment`'s run; none without guided exploration.
     ///
     /// # Errors
     /// Settings that give no state distance or no network.
-    pub fn new(plan: &RunPlan) -> Result<Option<Self>, ActorError> {
-        let known = Known::new(plan)?.map(|guide| Self::Known(Box::new(guide)));
-        let learned = || Ok::<_, ActorError>(Learned::new(plan)?.map(|guide| Self::Learned(Box::new(guide))));
+    pub fn new(experiment: &Experiment) -> Result<Option<Self>, ActorError> {
+        let known = Known::new(experiment)?.map(|guide| Self::Known(Box::new(guide)));
+        let learned =
+            || Ok::<_, ActorError>(Learned::new(experiment)?.map(|guide| Self::Learned(Box::new(guide))));
         known.map_or_else(learned, |known| Ok(Some(known)))
     }
 

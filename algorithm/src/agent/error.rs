@@ -36,7 +36,7 @@ pub enum AgentError {
     /// An annotation of the mentor-server.
     #[error(transparent)]
     Annotation(#[from] AnnotationError),
-    /// The demonstration is not the plan's.
+    /// The demonstration is not the experiment's.
     #[error("run.algo = {algo}: {what} is {found}; accepted: {accepted}")]
     Mentor {
         /// The algorithm.

@@ -35,7 +35,7 @@ impl Agent {
     /// `observed` is the mentor-server's answer to the whole batch, exactly where the algorithm has a mentor.
     ///
     /// # Errors
-    /// A batch or an answer that does not fit the plan. Nothing of the batch has been stored then.
+    /// A batch or an answer that does not fit the experiment. Nothing of the batch has been stored then.
     pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<Ingested, AgentError> {
         self.check_batch(batch, observed)?;
         if let (Some(mentor), Some(observed)) = (&mut self.mentor, observed) {

@@ -3,7 +3,7 @@
 //! A loop, distributed or not, calls the same few methods:
 //!
 //! ```text
-//! agent = Agent::new(&plan, mentor_transitions)
+//! agent = Agent::new(&experiment, mentor_transitions)
 //! each tick, while !agent.done():
 //!     each actor's batch, in the order of the actors:
 //!         observed = what the mentor-server answers to the batch        (nothing for dqn)
@@ -12,7 +12,7 @@
 //!     the actors get agent.acting()
 //! ```
 //!
-//! The agent's state is a function of the plan and of what was ingested, in this order.
+//! The agent's state is a function of the experiment and of what was ingested, in this order.
 
 mod counts;
 mod error;
@@ -41,8 +41,8 @@ use trestle_proto::acting::Acting;
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::Batch;
 use trestle_proto::config::{CombineKind, DrawKind, Exploration, Learner, LossKind};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::space::Success;
 use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
@@ -76,7 +76,7 @@ pub struct Agent {
     acting: Acting,
 }
 
-/// What the agent takes from the plan.
+/// What the agent takes from the experiment.
 #[derive(Clone, Debug)]
 struct Settings {
     learner: Learner,
@@ -116,11 +116,11 @@ struct MentorSide {
 }
 
 impl MentorSide {
-    fn new(plan: &RunPlan, transitions: MentorTransitions) -> Result<Self, AgentError> {
-        let (config, len) = (&plan.config, transitions.len());
+    fn new(experiment: &Experiment, transitions: MentorTransitions) -> Result<Self, AgentError> {
+        let (config, len) = (&experiment.config, transitions.len());
         let need = Need { mentor: &config.mentor, mentor_len: len, replay: config.learner.replay };
         Ok(Self {
-            annotations: AnnotationTable::new(len, plan.spec.obs_dim(), plan.spec.n_actions()),
+            annotations: AnnotationTable::new(len, experiment.spec.obs_dim(), experiment.spec.n_actions()),
             selection: selection::make(&need)?,
             visited: vec![0; len],
             used: vec![0; len],
@@ -153,23 +153,23 @@ struct Running {
 }
 
 impl Agent {
-    /// A new agent with the initial weights of the plan's seed. `mentor` is the demonstration, `plan.mentor_len()`
+    /// A new agent with the initial weights of the experiment's seed. `mentor` is the demonstration, `experiment.mentor_len()`
     /// transitions of it, exactly where the algorithm learns from one.
     ///
     /// # Errors
-    /// A setting that its user refuses, a demonstration that is not the plan's, or memory that cannot be had.
-    pub fn new(plan: &RunPlan, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
-        let settings = Settings::new(plan)?;
-        let ((layout, encoding), kernels) = (network_of(plan)?, kernels_of(plan)?);
-        let mentor = match check_mentor(plan, mentor)? {
-            Some(transitions) => Some(MentorSide::new(plan, transitions)?),
+    /// A setting that its user refuses, a demonstration that is not the experiment's, or memory that cannot be had.
+    pub fn new(experiment: &Experiment, mentor: Option<MentorTransitions>) -> Result<Self, AgentError> {
+        let settings = Settings::new(experiment)?;
+        let ((layout, encoding), kernels) = (network_of(experiment)?, kernels_of(experiment)?);
+        let mentor = match check_mentor(experiment, mentor)? {
+            Some(transitions) => Some(MentorSide::new(experiment, transitions)?),
             None => None,
         };
-        let seed = plan.config.run.seed;
-        let mut acting = Acting::zeros(plan.acting());
+        let seed = experiment.config.run.seed;
+        let mut acting = Acting::zeros(experiment.acting());
         acting.weights = init(&layout, &mut stream(seed, Purpose::Weights, 0));
         acting.known.fill(NONE);
-        let hindsight = hindsight_of(plan)?;
+        let hindsight = hindsight_of(experiment)?;
         if let Some(hindsight) = &hindsight {
             acting.policy.copy_from_slice(hindsight.params());
         }
@@ -177,16 +177,16 @@ impl Agent {
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch, kernels),
             adam: Adam::new(layout.n_params()),
-            replay: Replay::new(settings.learner.replay, plan.spec.obs_dim())?,
+            replay: Replay::new(settings.learner.replay, experiment.spec.obs_dim())?,
             network,
-            shaping: Shaping::new(plan)?,
+            shaping: Shaping::new(experiment)?,
             hindsight,
-            own: own_of(plan)?,
-            imitation: imitation_of(plan)?,
+            own: own_of(experiment)?,
+            imitation: imitation_of(experiment)?,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
-            running: vec![Running::default(); plan.config.run.actors as usize],
+            running: vec![Running::default(); experiment.config.run.actors as usize],
             settings,
             encoding,
             mentor,
@@ -289,8 +289,9 @@ impl Agent {
 }
 
 impl Settings {
-    fn new(plan: &RunPlan) -> Result<Self, AgentError> {
-        let (run, learner, mentor) = (&plan.config.run, &plan.config.learner, &plan.config.mentor);
+    fn new(experiment: &Experiment) -> Result<Self, AgentError> {
+        let (run, learner, mentor) =
+            (&experiment.config.run, &experiment.config.learner, &experiment.config.mentor);
         let adam = AdamConfig {
             lr: learner.lr,
             beta1: learner.adam_beta1,
@@ -305,14 +306,14 @@ impl Settings {
         loss.validate()?;
         Ok(Self {
             learner: learner.clone(),
-            exploration: plan.config.exploration.clone(),
+            exploration: experiment.config.exploration.clone(),
             adam,
             loss,
             gamma: learner.gamma as f32,
             tau: learner.tau as f32,
-            n_actions: plan.spec.n_actions(),
-            goal_bonus: plan.spec.goal_bonus,
-            success: plan.success(),
+            n_actions: experiment.spec.n_actions(),
+            goal_bonus: experiment.spec.goal_bonus,
+            success: experiment.success(),
             episodes: run.episodes,
             env_steps: run.env_steps,
             rule: MentorRule::new(run.algo, mentor),
@@ -323,20 +324,20 @@ impl Settings {
     }
 }
 
-/// Refuses a demonstration that is not the plan's.
+/// Refuses a demonstration that is not the experiment's.
 fn check_mentor(
-    plan: &RunPlan,
+    experiment: &Experiment,
     mentor: Option<MentorTransitions>,
 ) -> Result<Option<MentorTransitions>, AgentError> {
-    let algo = plan.config.run.algo;
+    let algo = experiment.config.run.algo;
     let refuse = |what, found, accepted| Err(AgentError::Mentor { algo: algo.name(), what, found, accepted });
     let found = mentor.as_ref().map_or(0, MentorTransitions::len);
     // The smallest demonstration has one transition.
-    let accepted = if algo.has_mentor() { plan.mentor_len().max(1) } else { 0 };
+    let accepted = if algo.has_mentor() { experiment.mentor_len().max(1) } else { 0 };
     match mentor {
         _ if found != accepted => refuse("the number of mentor transitions", found, accepted),
-        Some(mentor) if mentor.obs_dim() != plan.spec.obs_dim() => {
-            refuse("the number of features of a mentor state", mentor.obs_dim(), plan.spec.obs_dim())
+        Some(mentor) if mentor.obs_dim() != experiment.spec.obs_dim() => {
+            refuse("the number of features of a mentor state", mentor.obs_dim(), experiment.spec.obs_dim())
         }
         mentor => Ok(mentor.filter(|_| algo.has_mentor())),
     }

@@ -101,10 +101,10 @@ impl Agent {
         self.mentor.as_ref().map(|mentor| mentor.selection.save())
     }
 
-    /// Gives a new agent of the same plan the state of another. Its replay must have been read before.
+    /// Gives a new agent of the same experiment the state of another. Its replay must have been read before.
     ///
     /// # Errors
-    /// Parts that are not of this plan, or do not belong together.
+    /// Parts that are not of this experiment, or do not belong together.
     pub fn restore(&mut self, parts: &Parts) -> Result<(), AgentError> {
         let state = &parts.state;
         let mentor_len = self.mentor.as_ref().map_or(0, |mentor| mentor.transitions.len());

@@ -1,4 +1,4 @@
-//! From the plan of a run to the parts of learned bridges, and from settings that are automatic to numbers.
+//! From an experiment to the parts of learned bridges, and from settings that are automatic to numbers.
 
 use super::goal::Goal;
 use super::hindsight::{Hindsight, HindsightConfig};
@@ -8,7 +8,7 @@ use super::path::{Path, Paths, distance};
 use crate::demonstration::Demonstration;
 use trestle_proto::NONE;
 use trestle_proto::config::{GuideKind, Learned};
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::rng::{Purpose, stream};
 use trestle_proto::space::EnvSpec;
 use trestle_qnet::{AdamConfig, Layout, PlanError, init, kernels_of, network_of};
@@ -96,50 +96,51 @@ fn median_step(features: &[usize], spec: &EnvSpec, mentor: &Demonstration) -> Op
     steps.get(steps.len() / 2).map(|&length| f64::from(length))
 }
 
-/// What π sees in `plan`'s run, and its network; none without learned bridges.
+/// What π sees in `experiment`'s run, and its network; none without learned bridges.
 ///
 /// # Errors
 /// Settings that give no network.
-pub fn policy_of(plan: &RunPlan) -> Result<Option<(Goal, Layout)>, PlanError> {
-    let Some(sizes) = plan.policy_sizes() else { return Ok(None) };
-    let (_, encoding) = network_of(plan)?;
-    let goal = Goal::new(encoding, &plan.config.mentor.learned.features, &plan.spec.scale);
+pub fn policy_of(experiment: &Experiment) -> Result<Option<(Goal, Layout)>, PlanError> {
+    let Some(sizes) = experiment.policy_sizes() else { return Ok(None) };
+    let (_, encoding) = network_of(experiment)?;
+    let goal = Goal::new(encoding, &experiment.config.mentor.learned.features, &experiment.spec.scale);
     Ok(Some((goal, Layout::new(&sizes)?)))
 }
 
-/// The mentor's path in `plan`'s run; none without learned bridges.
-pub fn path_of(plan: &RunPlan, goal: &Goal) -> Option<Path> {
-    let waypoints = plan.waypoints.as_ref().filter(|_| plan.config.guide() == Some(GuideKind::Learned))?;
-    let radius = plan.config.mentor.learned.radius as f32;
-    Some(Path::of_mentor(waypoints, plan.spec.obs_dim(), goal, radius))
+/// The mentor's path in `experiment`'s run; none without learned bridges.
+pub fn path_of(experiment: &Experiment, goal: &Goal) -> Option<Path> {
+    let waypoints =
+        experiment.waypoints.as_ref().filter(|_| experiment.config.guide() == Some(GuideKind::Learned))?;
+    let radius = experiment.config.mentor.learned.radius as f32;
+    Some(Path::of_mentor(waypoints, experiment.spec.obs_dim(), goal, radius))
 }
 
-/// The paths along which a tracker goes in `plan`'s run, to begin with the mentor's alone; none without learned bridges.
-pub fn paths_of(plan: &RunPlan, goal: &Goal) -> Option<Paths> {
-    Some(Paths::new(path_of(plan, goal)?, goal.dim(), plan.config.mentor.learned.radius as f32))
+/// The paths along which a tracker goes in `experiment`'s run, to begin with the mentor's alone; none without learned bridges.
+pub fn paths_of(experiment: &Experiment, goal: &Goal) -> Option<Paths> {
+    Some(Paths::new(path_of(experiment, goal)?, goal.dim(), experiment.config.mentor.learned.radius as f32))
 }
 
-/// What keeps own paths in `plan`'s run, none yet; nothing without learned bridges, or with `own_paths = 0`.
+/// What keeps own paths in `experiment`'s run, none yet; nothing without learned bridges, or with `own_paths = 0`.
 ///
 /// # Errors
 /// Settings that give no network.
-pub fn own_of(plan: &RunPlan) -> Result<Option<OwnPaths>, PlanError> {
-    let room = plan.own_room();
-    let Some((goal, _)) = policy_of(plan)?.filter(|_| room.paths > 0) else { return Ok(None) };
-    let ends = plan.waypoints.iter().flat_map(|waypoints| {
-        let states = waypoints.states.chunks_exact(plan.spec.obs_dim()).zip(&waypoints.transition_of);
+pub fn own_of(experiment: &Experiment) -> Result<Option<OwnPaths>, PlanError> {
+    let room = experiment.own_room();
+    let Some((goal, _)) = policy_of(experiment)?.filter(|_| room.paths > 0) else { return Ok(None) };
+    let ends = experiment.waypoints.iter().flat_map(|waypoints| {
+        let states = waypoints.states.chunks_exact(experiment.spec.obs_dim()).zip(&waypoints.transition_of);
         states.filter(|(_, transition)| **transition == NONE).map(|(state, _)| state)
     });
-    Ok(Some(OwnPaths::new(goal, room, plan.config.mentor.learned.radius as f32, ends)))
+    Ok(Some(OwnPaths::new(goal, room, experiment.config.mentor.learned.radius as f32, ends)))
 }
 
-/// All that learns π in `plan`'s run, with the initial weights of the plan's seed; none without learned bridges.
+/// All that learns π in `experiment`'s run, with the initial weights of the experiment's seed; none without learned bridges.
 ///
 /// # Errors
 /// Settings that give no network.
-pub fn hindsight_of(plan: &RunPlan) -> Result<Option<Hindsight>, PlanError> {
-    let Some((goal, layout)) = policy_of(plan)? else { return Ok(None) };
-    let (seed, learned) = (plan.config.run.seed, &plan.config.mentor.learned);
+pub fn hindsight_of(experiment: &Experiment) -> Result<Option<Hindsight>, PlanError> {
+    let Some((goal, layout)) = policy_of(experiment)? else { return Ok(None) };
+    let (seed, learned) = (experiment.config.run.seed, &experiment.config.mentor.learned);
     let params = init(&layout, &mut stream(seed, Purpose::PolicyWeights, 0));
     let config = HindsightConfig {
         batch: learned.batch,
@@ -147,26 +148,26 @@ pub fn hindsight_of(plan: &RunPlan) -> Result<Option<Hindsight>, PlanError> {
         adam: AdamConfig { lr: learned.lr, ..AdamConfig::default() },
     };
     let rng = stream(seed, Purpose::PolicyReplay, 0);
-    Ok(Some(Hindsight::new(goal, layout, params, config, rng, kernels_of(plan)?)))
+    Ok(Some(Hindsight::new(goal, layout, params, config, rng, kernels_of(experiment)?)))
 }
 
-/// What imitates own paths in `plan`'s run, if anything does.
+/// What imitates own paths in `experiment`'s run, if anything does.
 ///
 /// # Errors
 /// Settings that give no network.
-pub fn imitation_of(plan: &RunPlan) -> Result<Option<Imitation>, PlanError> {
-    let learned = &plan.config.mentor.learned;
-    if plan.own_room().paths == 0 || learned.imitate == 0.0 {
+pub fn imitation_of(experiment: &Experiment) -> Result<Option<Imitation>, PlanError> {
+    let learned = &experiment.config.mentor.learned;
+    if experiment.own_room().paths == 0 || learned.imitate == 0.0 {
         return Ok(None);
     }
-    let (layout, _) = network_of(plan)?;
+    let (layout, _) = network_of(experiment)?;
     let config = ImitationConfig {
         weight: learned.imitate as f32,
         margin: learned.margin as f32,
-        batch: plan.config.learner.batch,
+        batch: experiment.config.learner.batch,
     };
-    let rng = stream(plan.config.run.seed, Purpose::Imitation, 0);
-    Ok(Some(Imitation::new(layout, config, rng, kernels_of(plan)?)))
+    let rng = stream(experiment.config.run.seed, Purpose::Imitation, 0);
+    Ok(Some(Imitation::new(layout, config, rng, kernels_of(experiment)?)))
 }
 
 #[cfg(test)]

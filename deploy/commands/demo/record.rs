@@ -3,7 +3,7 @@
 use super::{free, report};
 use crate::cli::Record;
 use crate::program;
-use crate::stored::read_plan;
+use crate::stored::read_experiment;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::worker::Worker;
 use trestle_algorithm::demonstration::Demonstration;
@@ -21,21 +21,22 @@ pub(super) fn run(args: &Record) -> Result<()> {
     logging::init(0, "record", "warn");
     free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
-    let plan = read_plan(&dir)?;
-    program::hand_over(&plan.config.env)?;
+    let experiment = read_experiment(&dir)?;
+    program::hand_over(&experiment.config.env)?;
     let (_, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
-    let (layout, _) = trestle_qnet::network_of(&plan)?;
+    let (layout, _) = trestle_qnet::network_of(&experiment)?;
     let weights = checkpoint::load_model(&path, &layout)?;
-    let mut worker = Worker::new(&plan, 0)?;
+    let mut worker = Worker::new(&experiment, 0)?;
     ensure!(
-        args.all || plan.success() != Success::Undefined,
+        args.all || experiment.success() != Success::Undefined,
         "{}: nothing says which episodes of {} succeed; accepted: --all, or a run with eval.threshold",
         args.run.display(),
-        plan.spec.name
+        experiment.spec.name
     );
 
-    let mut demonstration = Demonstration::new((0..plan.spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
+    let mut demonstration =
+        Demonstration::new((0..experiment.spec.obs_dim()).map(|i| format!("s{i}")).collect())?;
     let (mut reached, mut repeated, mut total, mut steps) = (0_u32, 0_u32, 0.0, 0);
     for episode in 0..args.episodes {
         let evaluation = FIRST_EVALUATION - u64::from(episode);
@@ -60,7 +61,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
         }
     }
     let n = f64::from(args.episodes);
-    let share = match plan.success() {
+    let share = match experiment.success() {
         Success::Undefined => format!("{} greedy episodes", args.episodes),
         _ => format!("{reached} of {} greedy episodes succeed", args.episodes),
     };
@@ -72,7 +73,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
         path.display()
     );
     demo_file::write(&args.out, &demonstration)?;
-    outln!("{}, checkpoint {}", plan.spec.name, path.display());
+    outln!("{}, checkpoint {}", experiment.spec.name, path.display());
     outln!("{figures}");
     if repeated > 0 {
         outln!("note: {repeated} episodes that repeat an earlier one state by state left out");

@@ -34,7 +34,7 @@ impl Policy {
     #[new]
     fn new(run: PathBuf, tick: Option<u64>) -> PyResult<Self> {
         let dir = RunDir::new(&run);
-        let plan = dir.read_plan().map_err(failed)?;
+        let experiment = dir.read_plan().map_err(failed)?.experiment;
         let none = || PyValueError::new_err(format!("{} holds no such complete checkpoint", run.display()));
         let (tick, path) = match tick {
             None => checkpoint::newest_complete(dir.root()).map_err(failed)?.ok_or_else(none)?,
@@ -43,11 +43,11 @@ impl Policy {
             }
             Some(_) => return Err(none()),
         };
-        let (layout, encoding) = network_of(&plan).map_err(failed)?;
+        let (layout, encoding) = network_of(&experiment).map_err(failed)?;
         let weights = checkpoint::load_model(&path, &layout).map_err(failed)?;
         let workspace = Workspace::new(&layout, ROWS);
-        let actions = plan.spec.actions.clone();
-        Ok(Self { env: plan.config.env, layout, encoding, weights, workspace, tick, actions })
+        let actions = experiment.spec.actions.clone();
+        Ok(Self { env: experiment.config.env, layout, encoding, weights, workspace, tick, actions })
     }
 
     /// The checkpoint's tick.

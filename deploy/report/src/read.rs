@@ -370,10 +370,10 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
             None
         }
     };
-    let start = plan.as_ref().ok().map(|plan| plan.run);
+    let start = plan.as_ref().ok().map(|plan| plan.life.run);
     let task = match &outcome {
         Some(outcome) => outcome.env.clone(),
-        None => plan.map(|plan| plan.spec.name).map_err(|e| e.to_string())?,
+        None => plan.map(|plan| plan.experiment.spec.name).map_err(|e| e.to_string())?,
     };
     let Build { version, commit } = regular_file::read(&dir.build(), MAX_RESULT)
         .ok()

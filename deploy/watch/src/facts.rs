@@ -72,14 +72,14 @@ impl Facts {
             Ok(config) => Self::of(&config),
             Err(fault) => Self { fault: Some(fault), ..Self::default() },
         };
-        if let Ok(plan) =
+        if let Ok(RunPlan { life, experiment }) =
             dir.read(PLAN_FILE, MAX_PLAN).map_err(drop).and_then(|b| RunPlan::decode(&b).map_err(drop))
         {
-            facts.threshold = plan.threshold();
-            facts.mentor_transitions = plan.mentor_len();
-            facts.restarts = plan.restarts;
-            facts.env = plan.spec.name;
-            facts.actions = plan.spec.actions;
+            facts.threshold = experiment.threshold();
+            facts.mentor_transitions = experiment.mentor_len();
+            facts.restarts = life.restarts;
+            facts.env = experiment.spec.name;
+            facts.actions = experiment.spec.actions;
         } else if let Some(result) = result(dir) {
             // A plan of another version.
             facts.env = result.env;

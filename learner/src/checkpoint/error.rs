@@ -65,7 +65,7 @@ pub enum CheckpointError {
         path: PathBuf,
         /// The fingerprint in it.
         found: String,
-        /// The fingerprint of the plan.
+        /// The fingerprint of the experiment.
         expected: String,
     },
     /// The files are sound, but not of this run.

@@ -8,7 +8,8 @@ use std::path::Path;
 use trestle_algorithm::agent::Counters;
 use trestle_algorithm::replay::Span;
 use trestle_proto::config::Mode;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
+use trestle_proto::plan::Life;
 use trestle_proto::regular_file;
 
 /// Version of the layout of checkpoints: any change raises it.
@@ -42,13 +43,13 @@ pub struct Manifest {
     pub version: String,
     /// The tick after which it was taken.
     pub tick: u64,
-    /// The history of the run that it belongs to, 16 hexadecimal digits ([`RunPlan::history`]).
+    /// The history of the run that it belongs to, 16 hexadecimal digits ([`Life::history`]).
     #[serde(default)]
     pub history: String,
-    /// Which learner of that history wrote it ([`RunPlan::generation`]).
+    /// Which learner of that history wrote it ([`Life::generation`]).
     #[serde(default)]
     pub generation: u16,
-    /// [`fingerprint`] of the run's plan.
+    /// [`fingerprint`] of the run.
     pub configuration: String,
     /// The run's counters at the tick, for people.
     pub counters: Counters,
@@ -63,8 +64,8 @@ pub struct Manifest {
 /// Identifies what a checkpoint may be continued with: SHA-256 of the configuration, the spaces and the length of
 /// the demonstration. Left out is what does not change how the agent learns: the limits of the run, evaluations,
 /// checkpoints, supervision, an environment's failing on purpose, and whether lockstep has one process or several.
-pub fn fingerprint(plan: &RunPlan) -> String {
-    let mut config = plan.config.clone();
+pub fn fingerprint(experiment: &Experiment) -> String {
+    let mut config = experiment.config.clone();
     (config.run.episodes, config.run.env_steps) = (None, None);
     if config.run.mode == Mode::Reference {
         config.run.mode = Mode::Lockstep;
@@ -75,40 +76,13 @@ pub fn fingerprint(plan: &RunPlan) -> String {
     for part in ["/eval", "/checkpoint", "/supervise", "/env/hazard"] {
         config.pointer_mut(part).map(serde_json::Value::take);
     }
-    let text = serde_json::json!([config, plan.spec, plan.mentor_len()]).to_string();
+    let text = serde_json::json!([config, experiment.spec, experiment.mentor_len()]).to_string();
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The life of one learner: where it stands in the history of its run.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Life {
-    /// As in [`Manifest`].
-    pub(super) history: String,
-    /// As in [`Manifest`].
-    pub(super) generation: u16,
-    /// The checkpoint that it went on from, none at the beginning of the history.
-    from: Option<u64>,
-}
-
-impl Life {
-    pub(super) fn of(plan: &RunPlan) -> Self {
-        let (history, from) = (format!("{:016x}", plan.history), plan.resume_tick);
-        Self { history, generation: plan.generation, from }
-    }
-
-    /// Whether this learner wrote the checkpoint.
-    pub(super) fn wrote(&self, manifest: &Manifest) -> bool {
-        manifest.history == self.history && manifest.generation == self.generation
-    }
-
-    /// Whether the checkpoint is of this learner's past: its own, or of a learner before it and no newer than what this one went on
-    /// from. A newer one of an earlier learner is of a past that has been left: the run has gone back behind it.
-    pub(super) fn knows(&self, manifest: &Manifest) -> bool {
-        let before = manifest.history == self.history
-            && manifest.generation < self.generation
-            && self.from.is_some_and(|from| manifest.tick <= from);
-        before || self.wrote(manifest)
-    }
+/// A history as a MANIFEST has it.
+pub(super) fn history_of(life: &Life) -> String {
+    format!("{:016x}", life.history)
 }
 
 /// The part of a MANIFEST that every version can read.
@@ -120,6 +94,20 @@ pub(super) struct Head {
 }
 
 impl Manifest {
+    /// Whether the learner of `life` wrote the checkpoint.
+    pub(super) fn is_by(&self, life: &Life) -> bool {
+        self.history == history_of(life) && self.generation == life.generation
+    }
+
+    /// Whether the checkpoint is of the past of `life`'s learner: its own, or of a learner before it and no newer than what this one
+    /// went on from. A newer one of an earlier learner is of a past that has been left: the run has gone back behind it.
+    pub(super) fn is_known_to(&self, life: &Life) -> bool {
+        let before = self.history == history_of(life)
+            && self.generation < life.generation
+            && life.resume_tick.is_some_and(|from| self.tick <= from);
+        before || self.is_by(life)
+    }
+
     /// The entry of file `name`, which [`read`] has made sure is there if it is one of every checkpoint's.
     pub(super) fn entry(&self, name: &str) -> Option<&FileEntry> {
         self.files.iter().find(|entry| entry.name == name)

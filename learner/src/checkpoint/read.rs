@@ -1,7 +1,7 @@
 //! Finding and reading checkpoints.
 
 use super::error::{CheckpointError, contents};
-use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
+use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint, history_of};
 use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND, SELECTION_HEAD};
 use super::{
     ACTORS, AGENT, ANNOTATIONS, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SELECTION, TARGET,
@@ -13,9 +13,10 @@ use trestle_algorithm::agent::{Agent, AgentState, Counters, Parts};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::codec::{self, Kind};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Part;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_qnet::Layout;
 
 /// A run as it was at a checkpoint.
@@ -46,14 +47,15 @@ pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, Checkpo
 /// As [`newest_complete`], of the checkpoints that a learner after `plan`'s can go on from: not the last one of a run that has
 /// ended, and none of another layout, another configuration or another history, which is passed over with a warning.
 pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
-    let (own, life) = (fingerprint(plan), Life::of(plan));
+    let (own, life) = (fingerprint(&plan.experiment), &plan.life);
+    let history = history_of(life);
     newest(run_dir, |manifest| {
         let tick = manifest.tick;
-        if manifest.configuration != own || manifest.history != life.history {
+        if manifest.configuration != own || manifest.history != history {
             tracing::warn!("the checkpoint of tick {tick} is passed over: it is of another run");
             return false;
         }
-        if !life.knows(manifest) {
+        if !manifest.is_known_to(life) {
             tracing::warn!("the checkpoint of tick {tick} is passed over: the run has gone back behind it");
             return false;
         }
@@ -78,25 +80,15 @@ pub fn newest_version(run_dir: &Path) -> Result<Option<String>, CheckpointError>
     Ok(heads.find_map(Result::ok).map(|head| head.version))
 }
 
-/// What the checkpoints in a run directory tell of the learners that wrote them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LastLife {
-    /// [`RunPlan::history`] of the newest checkpoint of the configuration.
-    pub history: u64,
-    /// The highest [`RunPlan::generation`] in that history.
-    pub generation: u16,
-    /// The tick of that checkpoint.
-    pub tick: u64,
-}
-
-/// The learner that `plan`'s run follows, from the checkpoints alone: for a directory whose plan is lost. None if there is no
-/// checkpoint of `plan`'s configuration.
+/// The last learner of a run of `experiment`, from the checkpoints in `run_dir` alone: for a directory whose plan is lost. Its
+/// history is that of the newest checkpoint of the configuration, its generation the highest in that history, and that checkpoint
+/// counts as what it went on from. None if there is no checkpoint of the configuration.
 ///
 /// # Errors
 /// The directory cannot be listed.
-pub fn newest_life(run_dir: &Path, plan: &RunPlan) -> Result<Option<LastLife>, CheckpointError> {
-    let own = fingerprint(plan);
-    let mut last: Option<(String, LastLife)> = None;
+pub fn newest_life(run_dir: &Path, experiment: &Experiment) -> Result<Option<Life>, CheckpointError> {
+    let own = fingerprint(experiment);
+    let mut last: Option<(String, Life)> = None;
     for tick in ticks(run_dir)? {
         let Ok(manifest) = manifest::read(&directory(run_dir, tick)) else { continue };
         match &mut last {
@@ -106,7 +98,8 @@ pub fn newest_life(run_dir: &Path, plan: &RunPlan) -> Result<Option<LastLife>, C
             Some(_) => {}
             None if manifest.configuration == own => {
                 let Ok(history) = u64::from_str_radix(&manifest.history, 16) else { continue };
-                last = Some((manifest.history, LastLife { history, generation: manifest.generation, tick }));
+                let (generation, resume_tick) = (manifest.generation, Some(tick));
+                last = Some((manifest.history, Life { history, generation, resume_tick, ..Life::default() }));
             }
             None => {}
         }
@@ -144,18 +137,18 @@ pub(super) fn verify(dir: &Path) -> Result<Manifest, CheckpointError> {
 }
 
 /// Continues from the checkpoint in `dir`: the agent that goes on from there learns bit for bit as the one that was
-/// saved. `plan` may differ from the saved run's in what [`fingerprint`] leaves out; `mentor` is as in
+/// saved. `experiment` may differ from the saved run's in what [`fingerprint`] leaves out; `mentor` is as in
 /// [`Agent::new`].
 ///
 /// # Errors
 /// A checkpoint that is incomplete, damaged, of another configuration, or of another demonstration.
 pub fn load(
     dir: &Path,
-    plan: &RunPlan,
+    experiment: &Experiment,
     mentor: Option<MentorTransitions>,
 ) -> Result<Loaded, CheckpointError> {
     let manifest = manifest::read(dir)?;
-    let expected = fingerprint(plan);
+    let expected = fingerprint(experiment);
     if manifest.configuration != expected {
         let (path, found) = (dir.join(MANIFEST), manifest.configuration);
         return Err(CheckpointError::Configuration { path, found, expected });
@@ -165,11 +158,11 @@ pub fn load(
         tracing::warn!("checkpoint {} was written by version {theirs}; this is {ours}", dir.display());
     }
     let agent_fault = |source| CheckpointError::Agent { path: dir.into(), source: Box::new(source) };
-    let mut agent = Agent::new(plan, mentor).map_err(agent_fault)?;
+    let mut agent = Agent::new(experiment, mentor).map_err(agent_fault)?;
     let bounds = Bounds {
-        n_actions: plan.spec.n_actions(),
-        mentor_len: plan.mentor_len(),
-        actors: plan.config.run.actors,
+        n_actions: experiment.spec.n_actions(),
+        mentor_len: experiment.mentor_len(),
+        actors: experiment.config.run.actors,
     };
     replay(dir, &manifest, agent.replay_mut(), &bounds)?;
     let layout = agent.network().layout();
@@ -189,7 +182,7 @@ pub fn load(
         actors: frame(dir, &manifest, ACTORS, ACTORS_KIND)?,
         run: frame(dir, &manifest, RUN, RUN_KIND)?,
         pending: match manifest.entry(PENDING) {
-            Some(entry) => pending(dir, entry, plan)?,
+            Some(entry) => pending(dir, entry, experiment)?,
             None => Vec::new(),
         },
     })
@@ -270,22 +263,21 @@ fn selection(dir: &Path, manifest: &Manifest) -> Result<Vec<u8>, CheckpointError
     memory.ok_or_else(|| contents(&dir.join(SELECTION))("another kind of file, or another version of it"))
 }
 
-/// The batches of a tick of `plan`'s run.
-fn pending(dir: &Path, entry: &FileEntry, plan: &RunPlan) -> Result<Vec<Batch>, CheckpointError> {
+/// The batches of a tick of a run of `experiment`.
+fn pending(dir: &Path, entry: &FileEntry, experiment: &Experiment) -> Result<Vec<Batch>, CheckpointError> {
     let path = dir.join(&entry.name);
     let refuse = |message: &str| contents(&path)(message);
     let words = words(dir, entry, PENDING_HEAD)?;
-    let (obs_dim, run) = (plan.spec.obs_dim(), &plan.config.run);
+    let (obs_dim, run) = (experiment.spec.obs_dim(), &experiment.config.run);
     let (mut rest, mut batches) = (&words[..], Vec::new());
     for actor in 0..run.actors {
         let part = Part::take(&mut rest, obs_dim)
             .filter(|part| part.actor == actor && part.count == run.rollout)
             .ok_or_else(|| refuse("not a batch of each actor"))?;
         let (count, obs_dim_word) = (part.count, obs_dim as u32);
-        let header =
-            BatchHeader { run: plan.run, actor, count, obs_dim: obs_dim_word, ..BatchHeader::default() };
+        let header = BatchHeader { actor, count, obs_dim: obs_dim_word, ..BatchHeader::default() };
         let mut batch = Batch::default();
-        batch.receive(header, part.payload, obs_dim, plan.spec.n_actions()).map_err(contents(&path))?;
+        batch.receive(header, part.payload, obs_dim, experiment.spec.n_actions()).map_err(contents(&path))?;
         batches.push(batch);
     }
     if rest.is_empty() { Ok(batches) } else { Err(refuse("more than a batch of each actor")) }

@@ -3,17 +3,18 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::testing::{World, demonstration, plan};
+use crate::plan;
+use crate::testing::{World, demonstration};
 use proptest::prelude::*;
 use std::fs;
 use tempfile::TempDir;
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
 use trestle_proto::observe::Part;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::rundir::LAST_LINK;
 
-/// Lets `agent` live through `ticks` ticks of the plan's actors.
+/// Lets `agent` live through `ticks` ticks of the experiment's actors.
 fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {
     for _ in 0..ticks {
         for actor in 0..actors {
@@ -27,12 +28,12 @@ fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {
 /// A run directory with one checkpoint per tick of `ticks`, and the agent of the last.
 fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
     let dir = tempfile::tempdir().unwrap();
-    let mut agent = Agent::new(plan, demonstration(plan)).unwrap();
-    let mut world = World::new(plan, 3);
+    let mut agent = Agent::new(&plan.experiment, demonstration(&plan.experiment)).unwrap();
+    let mut world = World::new(&plan.experiment, 3);
     let mut now = 0;
     let mut saver = Saver::new(dir.path());
     for &tick in ticks {
-        live(&mut agent, &mut world, plan.config.run.actors, (tick - now) as usize);
+        live(&mut agent, &mut world, plan.experiment.config.run.actors, (tick - now) as usize);
         now = tick;
         save(&mut saver, plan, tick, &agent).unwrap();
     }
@@ -51,7 +52,10 @@ fn save_as(
     taken: Taken<'_>,
 ) -> Result<(), CheckpointError> {
     let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
-    saver.save(&Cut { plan, tick, agent, actors: &actors, run, taken }, Vec::new())?;
+    saver.save(
+        &Cut { experiment: &plan.experiment, life: &plan.life, tick, agent, actors: &actors, run, taken },
+        Vec::new(),
+    )?;
     saver.wait()
 }
 
@@ -91,13 +95,13 @@ proptest! {
             "run.actors=2".into(),
         ];
         let plan = plan(&sets.each_ref().map(String::as_str));
-        let mut agent = Agent::new(&plan, demonstration(&plan)).unwrap();
-        let mut world = World::new(&plan, seed);
+        let mut agent = Agent::new(&plan.experiment, demonstration(&plan.experiment)).unwrap();
+        let mut world = World::new(&plan.experiment, seed);
         live(&mut agent, &mut world, 2, before);
         let run_dir = tempfile::tempdir().unwrap();
         save(&mut Saver::new(run_dir.path()), &plan, before as u64, &agent).unwrap();
         let dir = directory(run_dir.path(), before as u64);
-        let loaded = load(&dir, &plan, demonstration(&plan)).unwrap();
+        let loaded = load(&dir, &plan.experiment, demonstration(&plan.experiment)).unwrap();
         prop_assert_eq!((loaded.tick, loaded.run.as_slice()), (before as u64, &b"loop"[..]));
         prop_assert_eq!(loaded.actors, [vec![1, 2, 250], vec![]]);
         let mut again = loaded.agent;
@@ -138,7 +142,7 @@ proptest! {
             _ => {}
         }
         if how == 3 { fs::remove_file(&path).unwrap() } else { fs::write(&path, &bytes).unwrap() }
-        let fault = load(&dir, &plan, demonstration(&plan)).unwrap_err().to_string();
+        let fault = load(&dir, &plan.experiment, demonstration(&plan.experiment)).unwrap_err().to_string();
         // A damaged MANIFEST is noticed by COMPLETE.
         let named = names.iter().any(|name| fault.contains(&*dir.join(name).to_string_lossy()));
         prop_assert!(named, "{}", fault);
@@ -172,7 +176,8 @@ fn the_newest_whole_checkpoint_is_found_and_only_so_many_are_kept() {
     fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("notes")).unwrap();
     fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("+00000000010")).unwrap();
     assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5);
-    let fault = load(&directory(dir.path(), 8), &plan, demonstration(&plan)).unwrap_err();
+    let fault =
+        load(&directory(dir.path(), 8), &plan.experiment, demonstration(&plan.experiment)).unwrap_err();
     assert!(matches!(fault, CheckpointError::Incomplete { .. }), "{fault}");
 
     // Written again it replaces the unfinished one and clears up.
@@ -200,13 +205,13 @@ fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not()
     let (dir, _) = run(&with(&[]), &[6]);
     let dir = directory(dir.path(), 6);
     let other = with(&["learner.lr=0.5"]);
-    let fault = load(&dir, &other, demonstration(&other)).unwrap_err();
+    let fault = load(&dir, &other.experiment, demonstration(&other.experiment)).unwrap_err();
     assert!(matches!(fault, CheckpointError::Configuration { .. }), "{fault}");
     let longer = with(&["run.env_steps=200000", "eval.every=1", "checkpoint.keep=9"]);
-    assert!(load(&dir, &longer, demonstration(&longer)).is_ok());
+    assert!(load(&dir, &longer.experiment, demonstration(&longer.experiment)).is_ok());
     let mut moved = trestle_proto::mentor::MentorTransitions::new(2);
-    (0..longer.mentor_len()).for_each(|_| moved.push(&[1.0, 1.0], &[1.0, 1.0], false));
-    let fault = load(&dir, &longer, Some(moved)).unwrap_err().to_string();
+    (0..longer.experiment.mentor_len()).for_each(|_| moved.push(&[1.0, 1.0], &[1.0, 1.0], false));
+    let fault = load(&dir, &longer.experiment, Some(moved)).unwrap_err().to_string();
     assert!(fault.contains("demonstration"), "{fault}");
 }
 
@@ -224,18 +229,18 @@ fn what_does_not_change_the_agent_is_no_part_of_the_fingerprint() {
     ];
     for part in parts {
         let other = plan(part);
-        assert_ne!(other.config, usual.config, "{part:?}");
-        assert_eq!(fingerprint(&other), fingerprint(&usual), "{part:?}");
+        assert_ne!(other.experiment.config, usual.experiment.config, "{part:?}");
+        assert_eq!(fingerprint(&other.experiment), fingerprint(&usual.experiment), "{part:?}");
     }
-    assert_ne!(fingerprint(&plan(&["run.seed=77"])), fingerprint(&usual));
+    assert_ne!(fingerprint(&plan(&["run.seed=77"]).experiment), fingerprint(&usual.experiment));
 }
 
 #[test]
 fn a_run_goes_on_from_before_its_last_tick() {
     let short = plan(&["run.env_steps=22", "run.rollout=5", "checkpoint.keep=1"]);
     let (dir, mut agent) = run(&short, &[4]);
-    let mut world = World::new(&short, 5);
-    let tick: Vec<_> = (0..short.config.run.actors).map(|actor| world.batch(actor, 5)).collect();
+    let mut world = World::new(&short.experiment, 5);
+    let tick: Vec<_> = (0..short.experiment.config.run.actors).map(|actor| world.batch(actor, 5)).collect();
     let came = || tick.iter().map(|(batch, _)| batch);
     assert!(agent.ends_within(came()) && !agent.done());
     let before = everything(&agent);
@@ -249,17 +254,18 @@ fn a_run_goes_on_from_before_its_last_tick() {
 
     assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5, "the policy is the last one");
     let longer = plan(&["run.env_steps=26", "run.rollout=5"]);
-    let longer = RunPlan { history: own.history, ..later(&longer, 1, Some(3)) };
+    let longer = later(&longer, 1, Some(3));
     assert_eq!(newest_resumable(dir.path(), &longer).unwrap().unwrap().0, 4);
-    let loaded = load(&directory(dir.path(), 4), &longer, demonstration(&longer)).unwrap();
+    let loaded =
+        load(&directory(dir.path(), 4), &longer.experiment, demonstration(&longer.experiment)).unwrap();
     assert!(everything(&loaded.agent) == before);
     assert_eq!(loaded.pending.len(), tick.len());
     for (found, (batch, _)) in loaded.pending.iter().zip(&tick) {
         assert_eq!((found.header.actor, found.payload()), (batch.header.actor, batch.payload()));
     }
     // A tick of another length is none of this run's.
-    let other = RunPlan { config: plan(&["run.rollout=6"]).config, ..longer };
-    assert!(load(&directory(dir.path(), 4), &other, demonstration(&other)).is_err());
+    let other = plan(&["run.rollout=6"]);
+    assert!(load(&directory(dir.path(), 4), &other.experiment, demonstration(&other.experiment)).is_err());
 }
 
 /// What a user of Python's safetensors sees.
@@ -288,8 +294,8 @@ fn full_segments_are_written_once() {
     use std::os::unix::fs::MetadataExt;
     let plan = plan(&["learner.replay=640", "checkpoint.keep=9"]);
     let dir = tempfile::tempdir().unwrap();
-    let mut agent = Agent::new(&plan, demonstration(&plan)).unwrap();
-    let mut world = World::new(&plan, 3);
+    let mut agent = Agent::new(&plan.experiment, demonstration(&plan.experiment)).unwrap();
+    let mut world = World::new(&plan.experiment, 3);
     let mut saver = Saver::new(dir.path());
     let inodes = |tick: u64| {
         let files = fs::read_dir(directory(dir.path(), tick)).unwrap().map(|entry| entry.unwrap());
@@ -312,7 +318,8 @@ fn full_segments_are_written_once() {
             assert!(now.len() - shared <= 100 / 16 + 2, "{shared} of {} segments are shared", now.len());
             assert!(shared + 8 >= before.len().min(640 / 16 - 8), "{shared} of {}", before.len());
         }
-        let loaded = load(&directory(dir.path(), tick), &plan, demonstration(&plan)).unwrap();
+        let loaded =
+            load(&directory(dir.path(), tick), &plan.experiment, demonstration(&plan.experiment)).unwrap();
         assert!(everything(&loaded.agent) == everything(&agent), "tick {tick}");
     }
     // What somebody has removed is written again.
@@ -320,7 +327,8 @@ fn full_segments_are_written_once() {
     fs::remove_dir_all(&gone).unwrap();
     live(&mut agent, &mut world, 1, 1);
     save(&mut saver, &plan, 241, &agent).unwrap();
-    let loaded = load(&directory(dir.path(), 241), &plan, demonstration(&plan)).unwrap();
+    let loaded =
+        load(&directory(dir.path(), 241), &plan.experiment, demonstration(&plan.experiment)).unwrap();
     assert!(everything(&loaded.agent) == everything(&agent));
 }
 
@@ -340,20 +348,25 @@ fn a_failure_to_write_is_reported() {
 
 /// The plan of a later learner of the same run, which goes on from checkpoint `from`.
 fn later(plan: &RunPlan, generation: u16, from: Option<u64>) -> RunPlan {
-    RunPlan { generation, resume_tick: from, ..plan.clone() }
+    RunPlan { life: Life { generation, resume_tick: from, ..plan.life }, ..plan.clone() }
+}
+
+/// The same in another history.
+fn of_history(history: u64, plan: &RunPlan) -> RunPlan {
+    RunPlan { life: Life { history, ..plan.life }, ..plan.clone() }
 }
 
 /// An agent that has lived through other ticks than that of [`run`].
 fn other_agent(plan: &RunPlan, ticks: usize) -> Agent {
-    let mut agent = Agent::new(plan, demonstration(plan)).unwrap();
-    live(&mut agent, &mut World::new(plan, 77), plan.config.run.actors, ticks);
+    let mut agent = Agent::new(&plan.experiment, demonstration(&plan.experiment)).unwrap();
+    live(&mut agent, &mut World::new(&plan.experiment, 77), plan.experiment.config.run.actors, ticks);
     agent
 }
 
 #[test]
 fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
     let first = plan(&[]);
-    let other_run = RunPlan { history: 8, ..first.clone() };
+    let other_run = of_history(8, &first);
     for (plan, what) in [
         (later(&first, 1, Some(4)), "a later learner"),
         (later(&first, 1, None), "a later learner, from the beginning"),
@@ -364,7 +377,8 @@ fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
         assert_ne!(own.weights(), theirs.weights());
         let mut saver = Saver::new(dir.path());
         save(&mut saver, &plan, 6, &own).unwrap();
-        let loaded = load(&directory(dir.path(), 6), &plan, demonstration(&plan)).unwrap();
+        let loaded =
+            load(&directory(dir.path(), 6), &plan.experiment, demonstration(&plan.experiment)).unwrap();
         assert!(everything(&loaded.agent) == everything(&own), "{what}");
         assert_eq!(newest_resumable(dir.path(), &plan).unwrap().unwrap().0, 6, "{what}");
     }
@@ -374,7 +388,8 @@ fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
     let written = || fs::metadata(directory(dir.path(), 6).join(MANIFEST)).unwrap().modified().unwrap();
     let before = written();
     let next = later(&first, 1, Some(6));
-    let again = load(&directory(dir.path(), 6), &next, demonstration(&next)).unwrap().agent;
+    let again =
+        load(&directory(dir.path(), 6), &next.experiment, demonstration(&next.experiment)).unwrap().agent;
     save(&mut saver, &next, 6, &again).unwrap();
     assert_eq!(written(), before);
 }
@@ -388,8 +403,9 @@ fn a_run_that_has_gone_back_leaves_what_came_after() {
     // As after damage to 6 and 8 that is not there any more when somebody looks again.
     let second = later(&first, 1, Some(4));
     assert_eq!(newest(&second), Some(4));
-    let mut agent = load(&directory(dir.path(), 4), &second, demonstration(&second)).unwrap().agent;
-    live(&mut agent, &mut World::new(&second, 77), second.config.run.actors, 3);
+    let mut agent =
+        load(&directory(dir.path(), 4), &second.experiment, demonstration(&second.experiment)).unwrap().agent;
+    live(&mut agent, &mut World::new(&second.experiment, 77), second.experiment.config.run.actors, 3);
     let mut saver = Saver::after(dir.path(), 4).unwrap();
     save(&mut saver, &second, 7, &agent).unwrap();
     assert_eq!(newest(&second), Some(7));
@@ -398,7 +414,7 @@ fn a_run_that_has_gone_back_leaves_what_came_after() {
     assert_eq!(newest(&later(&first, 2, Some(7))), Some(7));
     // From the beginning, there is nothing before it.
     assert_eq!(newest(&later(&first, 2, None)), None);
-    assert_eq!(newest(&RunPlan { history: 8, ..second }), None);
+    assert_eq!(newest(&of_history(8, &second)), None);
 }
 
 #[test]
@@ -409,9 +425,9 @@ fn segments_of_another_learner_are_never_linked() {
     // Somebody else puts another checkpoint in its place: of the same sizes, under the same names.
     let rival = later(&plan, 1, None);
     save(&mut Saver::new(dir.path()), &rival, 20, &other_agent(&rival, 20)).unwrap();
-    live(&mut agent, &mut World::new(&plan, 5), plan.config.run.actors, 20);
+    live(&mut agent, &mut World::new(&plan.experiment, 5), plan.experiment.config.run.actors, 20);
     save(&mut saver, &plan, 40, &agent).unwrap();
-    let loaded = load(&directory(dir.path(), 40), &plan, demonstration(&plan)).unwrap();
+    let loaded = load(&directory(dir.path(), 40), &plan.experiment, demonstration(&plan.experiment)).unwrap();
     assert!(everything(&loaded.agent) == everything(&agent));
 }
 
@@ -419,14 +435,14 @@ fn segments_of_another_learner_are_never_linked() {
 fn checkpoints_tell_whose_they_are_where_the_plan_is_lost() {
     let first = plan(&["checkpoint.keep=9"]);
     let (dir, agent) = run(&first, &[4]);
-    let unknown = RunPlan { history: 0, ..first.clone() };
-    assert_eq!(newest_life(dir.path(), &plan(&["run.seed=77"])).unwrap(), None);
-    let life = |generation, tick| Some(LastLife { history: first.history, generation, tick });
-    assert_eq!(newest_life(dir.path(), &unknown).unwrap(), life(0, 4));
+    let experiment = &first.experiment;
+    assert_eq!(newest_life(dir.path(), &plan(&["run.seed=77"]).experiment).unwrap(), None);
+    let life = |generation, tick| Some(Life { run: 0, generation, resume_tick: Some(tick), ..first.life });
+    assert_eq!(newest_life(dir.path(), experiment).unwrap(), life(0, 4));
     let next = later(&first, 3, Some(4));
     save(&mut Saver::after(dir.path(), 4).unwrap(), &next, 6, &agent).unwrap();
-    assert_eq!(newest_life(dir.path(), &unknown).unwrap(), life(3, 6));
-    assert_eq!(newest_life(&dir.path().join("none"), &unknown).unwrap(), None);
+    assert_eq!(newest_life(dir.path(), experiment).unwrap(), life(3, 6));
+    assert_eq!(newest_life(&dir.path().join("none"), experiment).unwrap(), None);
 }
 
 /// What an earlier version has left can be looked at, and not gone on from.
@@ -446,5 +462,5 @@ fn a_checkpoint_that_does_not_say_whose_it_is_gives_its_weights_alone() {
     assert_eq!(load_model(&checkpoint, agent.network().layout()).unwrap(), agent.weights());
     assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 6);
     assert_eq!(newest_resumable(dir.path(), &plan).unwrap(), None);
-    assert_eq!(newest_life(dir.path(), &plan).unwrap(), None);
+    assert_eq!(newest_life(dir.path(), &plan.experiment).unwrap(), None);
 }

@@ -1,7 +1,7 @@
 //! Copying a cut, writing the copy, and removing the checkpoints that are no longer kept.
 
 use super::error::{CheckpointError, contents, io};
-use super::manifest::{self, FORMAT, FileEntry, Life, Manifest, fingerprint};
+use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint, history_of};
 use super::{
     ACTORS, AGENT, ANNOTATIONS, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SCRATCH,
     SELECTION, TARGET,
@@ -14,9 +14,10 @@ use std::path::{Path, PathBuf};
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
 use trestle_proto::codec::{self, Kind, MAX_BODY};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::observe::Part;
 use trestle_proto::own_file;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::plan::Life;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
 pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 6 };
@@ -43,8 +44,10 @@ pub enum Taken<'a> {
 /// All that a checkpoint keeps: one cut through the run, after everything that belongs to its tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Cut<'a> {
-    /// The run's plan.
-    pub plan: &'a RunPlan,
+    /// What the run computes.
+    pub experiment: &'a Experiment,
+    /// The learner that takes it.
+    pub life: &'a Life,
     /// The tick.
     pub tick: u64,
     /// The agent after it.
@@ -153,19 +156,19 @@ impl Frozen {
                 None => new.push((span.name(), agent.replay().segment(span))),
             }
         }
-        let life = Life::of(cut.plan);
+        let (experiment, life) = (cut.experiment, *cut.life);
         let manifest = Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").into(),
             tick: cut.tick,
-            history: life.history.clone(),
+            history: history_of(&life),
             generation: life.generation,
-            configuration: fingerprint(cut.plan),
+            configuration: fingerprint(experiment),
             counters: agent.counters(),
             ended: matches!(cut.taken, Taken::Last),
             files: Vec::new(),
         };
-        let keep = cut.plan.config.checkpoint.keep;
+        let keep = experiment.config.checkpoint.keep;
         Ok(Self { manifest, life, keep, new, linked, earlier: saved.cloned(), records })
     }
 
@@ -195,10 +198,10 @@ impl Frozen {
         for record in &self.records {
             own_file::synced(record.file.sync_data()).map_err(io(&record.path, "write"))?;
         }
-        let (tick, keep, life) = (self.tick(), self.keep, self.life.clone());
+        let (tick, keep, life) = (self.tick(), self.keep, self.life);
         let dir = directory(run_dir, tick);
         let same = |found: &Manifest| {
-            let own = life.wrote(found) && found.configuration == self.manifest.configuration;
+            let own = found.is_by(&life) && found.configuration == self.manifest.configuration;
             found.tick == tick && (own || self.earlier.as_ref().is_some_and(|saved| saved.manifest == *found))
         };
         let manifest = match read::verify(&dir) {
@@ -283,7 +286,7 @@ fn retain(run_dir: &Path, life: &Life, keep: usize) -> Result<(), CheckpointErro
     let (mut kept, mut ended) = (0, false);
     for tick in ticks(run_dir)? {
         let dir = directory(run_dir, tick);
-        let stays = match manifest::read(&dir).ok().filter(|found| life.knows(found)) {
+        let stays = match manifest::read(&dir).ok().filter(|found| found.is_known_to(life)) {
             Some(found) if found.ended => kept == 0 && !std::mem::replace(&mut ended, true),
             Some(_) => {
                 kept += 1;

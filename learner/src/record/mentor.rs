@@ -6,7 +6,7 @@ use super::error::{RecordError, io};
 use std::io::{self as stdio, Write};
 use std::path::Path;
 use trestle_algorithm::agent::MentorRow;
-use trestle_proto::plan::MentorPart;
+use trestle_proto::experiment::MentorPart;
 use trestle_proto::rundir::{Durable, MENTOR_FILE, write_atomically};
 
 const COLUMNS: &str =

@@ -21,10 +21,10 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use trestle_algorithm::agent::{Agent, Counters};
+use trestle_proto::experiment::Experiment;
 use trestle_proto::map_file::{MAX_MAP_BYTES, MapFile};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::own_file;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 use way::{Way, steps};
@@ -62,8 +62,8 @@ pub(crate) struct Timeline {
 
 impl Timeline {
     /// For a run from its beginning, in the place of a former file.
-    pub(crate) fn create(plan: &RunPlan, dir: &RunDir, mentor: Option<&MentorTransitions>) -> Self {
-        let mut timeline = Self::new(plan, dir, mentor);
+    pub(crate) fn create(experiment: &Experiment, dir: &RunDir, mentor: Option<&MentorTransitions>) -> Self {
+        let mut timeline = Self::new(experiment, dir, mentor);
         let begun = own_file::create(&timeline.path)
             .and_then(|mut file| file.write_all(timeline.head.line().as_bytes()));
         timeline.note(begun);
@@ -72,12 +72,12 @@ impl Timeline {
 
     /// For a run that goes on after `counters`: later moments go.
     pub(crate) fn resume(
-        plan: &RunPlan,
+        experiment: &Experiment,
         dir: &RunDir,
         mentor: Option<&MentorTransitions>,
         counters: Counters,
     ) -> Self {
-        let mut timeline = Self::new(plan, dir, mentor);
+        let mut timeline = Self::new(experiment, dir, mentor);
         let former = lines(&timeline.path).unwrap_or_default();
         let mut moments: Vec<(u64, String)> = Vec::new();
         let mut seconds = 0.0;
@@ -101,21 +101,25 @@ impl Timeline {
         timeline
     }
 
-    fn new(plan: &RunPlan, dir: &RunDir, mentor: Option<&MentorTransitions>) -> Self {
-        let map = match map_of(plan, dir) {
+    fn new(experiment: &Experiment, dir: &RunDir, mentor: Option<&MentorTransitions>) -> Self {
+        let map = match map_of(experiment, dir) {
             Ok(map) => map,
             Err(fault) => {
                 tracing::warn!("no map in the timeline: {fault}");
                 None
             }
         };
-        let squares = map.as_ref().and_then(|map| Squares::new(map, plan));
+        let squares = map.as_ref().and_then(|map| Squares::new(map, experiment));
         Self {
             path: dir.timeline(),
             findings: Findings::new(mentor.map_or(0, MentorTransitions::len)),
-            head: Head::new(plan, map, squares.as_ref(), mentor),
+            head: Head::new(experiment, map, squares.as_ref(), mentor),
             squares,
-            way: if mentor.is_none() { Way::new(plan, stride(steps(plan).count())) } else { None },
+            way: if mentor.is_none() {
+                Way::new(experiment, stride(steps(experiment).count()))
+            } else {
+                None
+            },
             path_taken: Vec::new(),
             told: true,
             kept: VecDeque::new(),
@@ -188,13 +192,13 @@ impl Timeline {
 }
 
 /// The map in the run's directory, if its environment has one.
-fn map_of(plan: &RunPlan, dir: &RunDir) -> Result<Option<MapFile>, String> {
+fn map_of(experiment: &Experiment, dir: &RunDir) -> Result<Option<MapFile>, String> {
     let bytes = match regular_file::read(&dir.map(), MAX_MAP_BYTES) {
         Err(error) if error.is_not_found() => return Ok(None),
         bytes => bytes.map_err(|error| error.to_string())?,
     };
     let map: MapFile = serde_json::from_slice(&bytes).map_err(|error| format!("map.json: {error}"))?;
-    map.check(plan.spec.obs_dim()).map_err(|error| error.to_string())?;
+    map.check(experiment.spec.obs_dim()).map_err(|error| error.to_string())?;
     Ok(Some(map))
 }
 

@@ -5,9 +5,9 @@ use super::way::steps;
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::{Agent, MentorRow};
 use trestle_proto::NONE;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::map_file::MapFile;
 use trestle_proto::mentor::MentorTransitions;
-use trestle_proto::plan::RunPlan;
 
 /// Version of the file.
 const VERSION: u32 = 1;
@@ -55,27 +55,27 @@ struct Mentor {
 
 impl Head {
     pub(super) fn new(
-        plan: &RunPlan,
+        experiment: &Experiment,
         map: Option<MapFile>,
         squares: Option<&Squares>,
         mentor: Option<&MentorTransitions>,
     ) -> Self {
-        let dims = map.as_ref().map_or(plan.spec.obs_dim().min(MAX_FEATURES), |_| 2);
+        let dims = map.as_ref().map_or(experiment.spec.obs_dim().min(MAX_FEATURES), |_| 2);
         let mut head = Self {
             version: VERSION,
-            obs_dim: plan.spec.obs_dim(),
+            obs_dim: experiment.spec.obs_dim(),
             dims,
             map,
             squares: squares.map(|squares| squares.fine),
             shades: SHADES,
             visits_half_life: HALF_LIFE,
-            actions: plan.spec.actions.clone(),
+            actions: experiment.spec.actions.clone(),
             mentor: Mentor::default(),
         };
-        let count = mentor.map_or_else(|| steps(plan).count(), MentorTransitions::len);
+        let count = mentor.map_or_else(|| steps(experiment).count(), MentorTransitions::len);
         let stride = stride(count);
         let mut told = Mentor { transitions: count, stride, led: mentor.is_none(), ..Mentor::default() };
-        told.demos = plan.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect();
+        told.demos = experiment.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect();
         let mut tell = |from: &[f32], to: &[f32], first: bool| {
             told.from.extend(head.point(from));
             told.to.extend(head.point(to));
@@ -85,9 +85,9 @@ impl Head {
             for j in (0..count).step_by(stride) {
                 tell(transitions.state(j), transitions.next_state(j), transitions.first(j));
             }
-        } else if let Some(waypoints) = &plan.waypoints {
+        } else if let Some(waypoints) = &experiment.waypoints {
             let state = |m: usize| &waypoints.states[m * head.obs_dim..][..head.obs_dim];
-            for m in steps(plan).step_by(stride) {
+            for m in steps(experiment).step_by(stride) {
                 tell(state(m), state(m + 1), m == 0 || waypoints.transition_of[m - 1] == NONE);
             }
         }

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::Agent;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::map_file::MapFile;
-use trestle_proto::plan::RunPlan;
 use trestle_qnet::{Encoding, Layout, Workspace, argmax, forward, network_of};
 
 /// Squares that are looked at, at most; a map with more has coarser ones, or none.
@@ -48,16 +48,16 @@ pub(super) struct Looks {
 }
 
 impl Squares {
-    /// The squares of `map`; none if they are too many, or the plan's network is not to be had.
-    pub(super) fn new(map: &MapFile, plan: &RunPlan) -> Option<Self> {
+    /// The squares of `map`; none if they are too many, or the experiment's network is not to be had.
+    pub(super) fn new(map: &MapFile, experiment: &Experiment) -> Option<Self> {
         let [columns, rows] = map.size();
         let cells = || (0..rows).flat_map(|row| (0..columns).map(move |column| [column, row]));
         let free = cells().filter(|&cell| map.is_free(cell)).count();
         let fine = (1..=map.squares).rev().find(|fine| free * fine * fine <= MAX_SQUARES)?;
-        let (layout, encoding) = network_of(plan).ok()?;
+        let (layout, encoding) = network_of(experiment).ok()?;
         let mut number = Vec::new();
         let mut states: Vec<f32> = Vec::new();
-        let mut state = vec![0.0; plan.spec.obs_dim()];
+        let mut state = vec![0.0; experiment.spec.obs_dim()];
         let mut count = 0;
         for (row, column) in
             (0..rows * fine).flat_map(|row| (0..columns * fine).map(move |column| (row, column)))
@@ -67,7 +67,7 @@ impl Squares {
             if is_free {
                 let place = [column, row].map(|at| (at as f64 + 0.5) / fine as f64 - 0.5);
                 map.state(place, &mut state);
-                clamp(&mut state, plan);
+                clamp(&mut state, experiment);
                 states.extend_from_slice(&state);
                 count += 1;
             }
@@ -135,8 +135,8 @@ impl Squares {
 }
 
 /// A state that the environment could give: a feature at rest may be outside its bounds.
-fn clamp(state: &mut [f32], plan: &RunPlan) {
-    for ((x, &low), &high) in state.iter_mut().zip(&plan.spec.low).zip(&plan.spec.high) {
+fn clamp(state: &mut [f32], experiment: &Experiment) {
+    for ((x, &low), &high) in state.iter_mut().zip(&experiment.spec.low).zip(&experiment.spec.high) {
         *x = x.clamp(low, high);
     }
 }

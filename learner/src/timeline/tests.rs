@@ -1,20 +1,20 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::testing::{World, demonstration, plan};
+use crate::testing::{World, demonstration, experiment};
 use serde_json::Value;
 
 /// A run of `ha-diiqn` on a map of 9 x 9 cells in a directory of its own, and a walk through it.
 struct Walk {
     place: tempfile::TempDir,
-    plan: RunPlan,
+    experiment: Experiment,
     agent: Agent,
     world: World,
 }
 
 fn walk() -> Walk {
     let place = tempfile::tempdir().unwrap();
-    let plan = plan(&["run.algo=ha-diiqn"]);
+    let experiment = experiment(&["run.algo=ha-diiqn"]);
     let mut rows = vec![".".repeat(9); 9];
     rows[4] = "....##...".into();
     let map = MapFile {
@@ -26,9 +26,9 @@ fn walk() -> Walk {
         squares: 1,
     };
     std::fs::write(place.path().join("map.json"), serde_json::to_string(&map).unwrap()).unwrap();
-    let agent = Agent::new(&plan, demonstration(&plan)).unwrap();
-    let world = World::new(&plan, 3);
-    Walk { place, plan, agent, world }
+    let agent = Agent::new(&experiment, demonstration(&experiment)).unwrap();
+    let world = World::new(&experiment, 3);
+    Walk { place, experiment, agent, world }
 }
 
 impl Walk {
@@ -37,7 +37,7 @@ impl Walk {
     }
 
     fn create(&self) -> Timeline {
-        Timeline::create(&self.plan, &self.dir(), demonstration(&self.plan).as_ref())
+        Timeline::create(&self.experiment, &self.dir(), demonstration(&self.experiment).as_ref())
     }
 
     fn on(&mut self, timeline: &mut Timeline, moments: usize) {
@@ -121,9 +121,9 @@ fn a_resumed_run_forgets_what_came_after_its_checkpoint() {
         text
     })
     .unwrap();
-    let mentor = demonstration(&walk.plan);
+    let mentor = demonstration(&walk.experiment);
     let at = Counters { env_steps: counters.env_steps + 8, ..counters };
-    let resumed = Timeline::resume(&walk.plan, &walk.dir(), mentor.as_ref(), at);
+    let resumed = Timeline::resume(&walk.experiment, &walk.dir(), mentor.as_ref(), at);
     let steps: Vec<u64> =
         walk.written()[1..].iter().map(|moment| moment["env_steps"].as_u64().unwrap()).collect();
     assert_eq!(steps.len(), 12);

@@ -6,7 +6,7 @@ use trestle_algorithm::agent::Agent;
 use trestle_algorithm::learned_bridges::{Goal, Path, path_of, policy_of, softmax};
 use trestle_algorithm::similarity::Hit;
 use trestle_proto::NONE;
-use trestle_proto::plan::RunPlan;
+use trestle_proto::experiment::Experiment;
 use trestle_qnet::{Layout, Workspace, argmax, forward};
 
 /// Newest transitions that are looked at between two moments.
@@ -32,14 +32,14 @@ pub(super) struct Way {
 }
 
 impl Way {
-    /// That of `plan`'s run, of every `stride`th step; none without learned bridges.
-    pub(super) fn new(plan: &RunPlan, stride: usize) -> Option<Self> {
-        let (goal, layout) = policy_of(plan).ok()??;
-        let path = path_of(plan, &goal)?;
-        let shown: Vec<usize> = steps(plan).step_by(stride).collect();
+    /// That of `experiment`'s run, of every `stride`th step; none without learned bridges.
+    pub(super) fn new(experiment: &Experiment, stride: usize) -> Option<Self> {
+        let (goal, layout) = policy_of(experiment).ok()??;
+        let path = path_of(experiment, &goal)?;
+        let shown: Vec<usize> = steps(experiment).step_by(stride).collect();
         let mut inputs = vec![0.0; shown.len() * layout.input()];
-        let lookahead = plan.config.mentor.learned.lookahead as f32;
-        let (states, dim) = (&plan.waypoints.as_ref()?.states, plan.spec.obs_dim());
+        let lookahead = experiment.config.mentor.learned.lookahead as f32;
+        let (states, dim) = (&experiment.waypoints.as_ref()?.states, experiment.spec.obs_dim());
         for (input, &m) in inputs.chunks_exact_mut(layout.input()).zip(&shown) {
             goal.encode(&states[m * dim..][..dim], path.place(path.ahead(m, lookahead)), input);
         }
@@ -76,8 +76,8 @@ impl Way {
     }
 }
 
-/// The mentor states of `plan`'s waypoints that begin a step; none without waypoints.
-pub(super) fn steps(plan: &RunPlan) -> impl Iterator<Item = usize> {
-    let of = plan.waypoints.iter().flat_map(|waypoints| waypoints.transition_of.iter().enumerate());
+/// The mentor states of `experiment`'s waypoints that begin a step; none without waypoints.
+pub(super) fn steps(experiment: &Experiment) -> impl Iterator<Item = usize> {
+    let of = experiment.waypoints.iter().flat_map(|waypoints| waypoints.transition_of.iter().enumerate());
     of.filter(|(_, transition)| **transition != NONE).map(|(m, _)| m)
 }

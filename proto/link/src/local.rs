@@ -71,31 +71,32 @@ pub struct LocalMentor {
 
 /// The connected ends of `plan`'s run: learner, mentor-server, and one end for each actor.
 pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
-    let actors = plan.config.run.actors as usize;
-    let sizes: Vec<u32> = plan.sizes().into_iter().map(|n| n as u32).collect();
+    let RunPlan { life, experiment } = plan;
+    let actors = experiment.config.run.actors as usize;
+    let sizes: Vec<u32> = experiment.sizes().into_iter().map(|n| n as u32).collect();
     let published = Published::default();
     let orders = Arc::<Newest>::default();
     let (to_learner, inbox) = sync_channel(actors * (TRANSITIONS_BUFFER + REPLIES_BUFFER));
     let (to_mentor, requests) = sync_channel(1);
     let ends = (0..actors)
         .map(|_| LocalActor {
-            run: plan.run,
+            run: life.run,
             sizes: sizes.clone(),
-            room: plan.own_room(),
+            room: experiment.own_room(),
             published: published.clone(),
-            copy: Acting::zeros(plan.acting()),
+            copy: Acting::zeros(experiment.acting()),
             orders: orders.clone(),
             received: 0,
             learner: to_learner.clone(),
         })
         .collect();
     let learner = LocalLearner {
-        run: plan.run,
-        generation: plan.generation,
+        run: life.run,
+        generation: life.generation,
         sizes,
-        obs_dim: plan.spec.obs_dim(),
-        n_actions: plan.spec.n_actions(),
-        mentor_len: plan.mentor_len(),
+        obs_dim: experiment.spec.obs_dim(),
+        n_actions: experiment.spec.n_actions(),
+        mentor_len: experiment.mentor_len(),
         published,
         actors,
         orders,

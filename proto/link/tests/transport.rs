@@ -16,10 +16,11 @@ use trestle_proto::acting::Acting;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Transition};
 use trestle_proto::config::{self, Config};
+use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part};
 use trestle_proto::orders::{Orders, Share};
-use trestle_proto::plan::{MentorPart, RunPlan};
+use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::query::{OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR, STATS};
 use trestle_proto::reply::{ACTOR_STATE, Reply, ReplyHeader};
 use trestle_proto::space::EnvSpec;
@@ -48,15 +49,8 @@ fn plan(run: u64) -> RunPlan {
     };
     let mentors = vec![MentorPart { name: "mentor".into(), transitions: MENTOR }];
     RunPlan {
-        run,
-        history: 0,
-        config,
-        spec,
-        mentors,
-        waypoints: None,
-        resume_tick: None,
-        restarts: 0,
-        generation: 0,
+        life: Life { run, ..Life::default() },
+        experiment: Experiment { config, spec, mentors, waypoints: None },
     }
 }
 
@@ -152,7 +146,7 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     link.welcome(&|| false).unwrap();
     let mut batches = vec![Batch::with_capacity(4, 2); ACTORS as usize];
     let (mut spare, mut answers) = (Batch::default(), Answers::default());
-    let mut orders = Orders { run: plan.run, ..Orders::default() };
+    let mut orders = Orders { run: plan.life.run, ..Orders::default() };
     for round in 1..=200u64 {
         (orders.round, orders.weights_version) = (round, round - 1);
         link.send_acting(round - 1, &acting(round - 1)).unwrap();
@@ -172,7 +166,7 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
             assert_eq!(batch.transition(3).next_obs, [3.0, acting(round - 1).weights[0]]);
         }
         let request = ObserveRequest {
-            run: plan.run,
+            run: plan.life.run,
             round,
             first_index: round,
             op: OBSERVE,
@@ -195,7 +189,8 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
         assert!(matches!(refusal, Err(LinkError::Refused { .. })), "{refusal:?}");
     }
     let mut words = Vec::new();
-    let similar = QueryRequest { run: plan.run, op: SIMILAR, count: 2, obs_dim: 2, ..Default::default() };
+    let similar =
+        QueryRequest { run: plan.life.run, op: SIMILAR, count: 2, obs_dim: 2, ..Default::default() };
     link.query(&similar, &[1.5, 2.5], &mut words).unwrap();
     assert_eq!(words, [1.5f32.to_bits(), 2.5f32.to_bits()]);
     let refusal = link.query(&QueryRequest { op: STATS, ..similar }, &[], &mut words);

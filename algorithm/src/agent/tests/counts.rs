@@ -2,7 +2,7 @@
 
 use super::{agent, live};
 use crate::agent::{Agent, AgentError, TrainStats};
-use crate::testing::{MENTOR_LEN, demonstration, plan};
+use crate::testing::{MENTOR_LEN, demonstration, experiment};
 use proptest::prelude::*;
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
@@ -115,12 +115,12 @@ fn the_target_network_follows_as_asked() {
 
 #[test]
 fn what_does_not_fit_the_plan_is_refused() {
-    let with = plan(&[]);
+    let with = experiment(&[]);
     let message = |result: Result<Agent, AgentError>| result.unwrap_err().to_string();
     assert!(message(Agent::new(&with, None)).contains("mentor transitions is 0; accepted: 6"));
     let other = MentorTransitions::new(3);
     assert!(message(Agent::new(&with, Some(other))).contains("accepted: 6"));
-    let without = plan(&[DQN]);
+    let without = experiment(&[DQN]);
     assert!(message(Agent::new(&without, demonstration(&with))).contains("run.algo = dqn"));
 
     let (mut agent, mut world) = agent(&[], 0);

@@ -7,13 +7,13 @@ mod counts;
 mod gradient;
 
 use super::Agent;
-use crate::testing::{World, demonstration, plan};
+use crate::testing::{World, demonstration, experiment};
 
 /// A new agent and its world.
 fn agent(sets: &[&str], seed: u64) -> (Agent, World) {
-    let plan = plan(sets);
-    let agent = Agent::new(&plan, demonstration(&plan)).unwrap();
-    (agent, World::new(&plan, seed))
+    let experiment = experiment(sets);
+    let agent = Agent::new(&experiment, demonstration(&experiment)).unwrap();
+    (agent, World::new(&experiment, seed))
 }
 
 /// Lets `agent` live through `ticks` ticks of all its actors.

@@ -82,7 +82,7 @@ impl IceoryxLearner {
             actors: wake::notifier(&services.wake_actors)?,
             mentor: wake::notifier(&services.wake_mentor)?,
             mentor_waits: false,
-            generation: plan.generation,
+            generation: plan.life.generation,
             services,
         })
     }

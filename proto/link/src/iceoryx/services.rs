@@ -9,6 +9,7 @@ use trestle_proto::acting::{ActingHeader, Lengths, Room};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, BatchHeader};
 use trestle_proto::config::Mode;
+use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{
     MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TRANSITIONS_BUFFER,
 };
@@ -27,7 +28,7 @@ const OTHER_NODES: usize = 6;
 /// Shared memory that the buffered batches of one actor may take, bytes; fewer are buffered if they are larger.
 const TRANSITIONS_BYTES: usize = 32 << 20;
 
-/// The sizes of a run's messages, derived from its plan.
+/// The sizes of a run's messages, derived from its experiment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sizes {
     /// Actors.
@@ -53,20 +54,20 @@ pub struct Sizes {
 }
 
 impl Sizes {
-    /// The sizes of `plan`'s messages.
-    pub fn of(plan: &RunPlan) -> Self {
-        let network = plan.sizes();
+    /// The sizes of the messages of `experiment`'s run.
+    pub fn of(experiment: &Experiment) -> Self {
+        let network = experiment.sizes();
         Self {
-            actors: plan.config.run.actors as usize,
-            obs_dim: plan.spec.obs_dim(),
-            n_actions: plan.spec.n_actions(),
+            actors: experiment.config.run.actors as usize,
+            obs_dim: experiment.spec.obs_dim(),
+            n_actions: experiment.spec.n_actions(),
             network: network.into_iter().map(|n| n as u32).collect(),
-            batch_words: batch::words(plan.config.run.rollout as usize, plan.spec.obs_dim()),
-            acting: plan.acting(),
-            own: plan.own_room(),
-            mentor_len: plan.mentor_len(),
-            window: plan.window() as usize,
-            replaces: plan.config.run.mode == Mode::Free,
+            batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.obs_dim()),
+            acting: experiment.acting(),
+            own: experiment.own_room(),
+            mentor_len: experiment.mentor_len(),
+            window: experiment.window() as usize,
+            replaces: experiment.config.run.mode == Mode::Free,
         }
     }
 
@@ -221,7 +222,7 @@ impl Services {
             return Err(failed("joining the run")("it is not in progress, or another user's"));
         }
         let node = domain.node().map_err(failed("joining the run"))?;
-        let sizes = Sizes::of(plan);
+        let sizes = Sizes::of(&plan.experiment);
         let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
         let name =
             |name: &str| format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"));
@@ -332,7 +333,7 @@ impl Services {
             )
         };
         Ok(Self {
-            run: plan.run,
+            run: plan.life.run,
             transitions,
             weights,
             orders,
