@@ -32,8 +32,8 @@ pub(crate) struct OnTask {
     pub(crate) preset: String,
     /// `key=value`.
     pub(crate) sets: Vec<String>,
-    /// The file of the demonstration, below the sweep's directory.
-    pub(crate) demonstration: PathBuf,
+    /// The file of the demonstration that is made for the task, below the sweep's directory; none if the settings name one.
+    pub(crate) demonstration: Option<PathBuf>,
 }
 
 impl Arm {

@@ -95,7 +95,8 @@ pub(crate) fn configuration(
     let mut below = Vec::new();
     if let Some(task) = &arm.task {
         below.clone_from(&task.sets);
-        below.push(format!("mentor.demo={:?}", out.join(&task.demonstration).display().to_string()));
+        let made = task.demonstration.iter();
+        below.extend(made.map(|file| format!("mentor.demo={:?}", out.join(file).display().to_string())));
     }
     let source = arm.task.as_ref().map_or(source, |task| &task.preset);
     let sets: Vec<String> = below.iter().chain(sets).chain(&arm.sets).cloned().collect();

@@ -51,44 +51,55 @@ impl Suite {
             task: Some(OnTask {
                 preset: task.preset.clone(),
                 sets: self.set.settings(task),
-                demonstration: demonstration(task),
+                demonstration: task.map.is_some().then(|| demonstration(task)),
             }),
         };
         self.tasks.iter().flat_map(|task| arms.iter().map(move |arm| on(task, arm))).collect()
     }
 
-    /// Writes the maps and demonstrations of the tasks into `out`, and the commands that run each task alone that is there. What is
-    /// there already is written again: it is a function of the tasks.
+    /// Writes the maps and demonstrations that the tasks are made of into `out`, and the commands that run each task alone that is
+    /// there. What is there already is written again: it is a function of the tasks.
     pub(crate) fn write(&self, out: &Path) -> Result<()> {
         for task in &self.tasks {
-            let text = map_text(&task.map).with_context(|| format!("task {}", task.id))?;
-            put(&map(out, task), |file| file.write_all(text.as_bytes()))?;
+            if let Some(name) = &task.map {
+                let text = map_text(name).with_context(|| format!("task {}", task.id))?;
+                put(&map(out, name), |file| file.write_all(text.as_bytes()))?;
+            }
+            let Some(states) = self.set.demonstration(task).with_context(|| format!("task {}", task.id))?
+            else {
+                continue;
+            };
             let mentor = out.join(demonstration(task));
-            let states = self.set.demonstration(task).with_context(|| format!("task {}", task.id))?;
             fs::create_dir_all(mentor.parent().unwrap_or(out))
                 .with_context(|| format!("cannot make the directory of {}", mentor.display()))?;
             demo_file::write(&mentor, &states)?;
         }
-        let there = self.set.tasks().iter().filter(|task| out.join(demonstration(task)).exists());
+        let is_there = |task: &&Task| match task.map {
+            Some(_) => out.join(demonstration(task)).exists(),
+            None => self.tasks.contains(task),
+        };
+        let there = self.set.tasks().iter().filter(is_there);
         let commands: String = there.map(|task| self.command(out, task)).collect();
         put(&out.join(COMMANDS), |file| file.write_all(commands.as_bytes()))
     }
 
     /// The command that trains on `task` alone, with its files in `out`.
     fn command(&self, out: &Path, task: &Task) -> String {
-        let files = [
-            format!("env.map={}", map(out, task).display()),
-            format!("mentor.demo={}", out.join(demonstration(task)).display()),
-        ];
+        let files = task.map.iter().flat_map(|name| {
+            [
+                format!("env.map={}", map(out, name).display()),
+                format!("mentor.demo={}", out.join(demonstration(task)).display()),
+            ]
+        });
         let own = self.set.settings(task).into_iter().filter(|set| !set.starts_with("env.map="));
         let sets: String = own.chain(files).map(|set| format!(" --set {}", quoted(&set))).collect();
         format!("# {}\ntrestle train {}{sets}\n", task.id, quoted(&task.preset))
     }
 }
 
-/// The file of a task's map in the sweep's directory `out`.
-fn map(out: &Path, task: &Task) -> PathBuf {
-    out.join(MAPS).join(format!("{}.txt", task.map.replace([':', '/'], "-")))
+/// The file of the map called `name` in the sweep's directory `out`.
+fn map(out: &Path, name: &str) -> PathBuf {
+    out.join(MAPS).join(format!("{}.txt", name.replace([':', '/'], "-")))
 }
 
 /// The file of a task's demonstration below the sweep's directory.
@@ -180,5 +191,21 @@ mod tests {
         let commands = fs::read_to_string(dir.path().join("tasks.txt")).unwrap();
         let demo = format!("--set mentor.demo={}", file.display());
         assert!(commands.contains(&demo) && commands.contains("--set run.env_steps=200000"), "{commands}");
+    }
+
+    #[test]
+    fn a_recorded_demonstration_stays_where_it_is() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("set.toml");
+        let task = "{ id = 'a/b', preset = 'maze-small', demo = 'mine.csv', env_steps = 9 }";
+        fs::write(&file, format!("format = 1\ntasks = [{task}]")).unwrap();
+        let suite = Suite::load(&file.display().to_string(), &[]).unwrap();
+        suite.write(dir.path()).unwrap();
+        let commands = fs::read_to_string(dir.path().join("tasks.txt")).unwrap();
+        assert!(commands.contains("trestle train maze-small --set 'mentor.demo=\"mine.csv\"'"), "{commands}");
+        assert!(!dir.path().join("maps").exists() && !dir.path().join("demonstrations").exists());
+        let arm = &suite.arms(&[Arm::plain(Algo::HaDiiqn)])[0];
+        let config = configuration(SUITE, &[], Limits::default(), arm, 0, dir.path()).unwrap();
+        assert_eq!(config.mentor.demo.iter().collect::<Vec<_>>(), [("mentor", "mine.csv")]);
     }
 }

@@ -47,9 +47,14 @@ pub struct Task {
     /// The preset, which has the hyper-parameters of all arms.
     pub preset: String,
     /// The map, as `env.map` takes it. Not that of a run's seed.
-    pub map: String,
-    /// What the mentor does.
-    pub mentor: Mentor,
+    #[serde(default)]
+    pub map: Option<String>,
+    /// What the mentor does on the map.
+    #[serde(default)]
+    pub mentor: Option<Mentor>,
+    /// In place of a map and a mentor: a demonstration, as `mentor.demo` takes it.
+    #[serde(default)]
+    pub demo: Option<String>,
     /// Decides what the mentor leaves to chance.
     #[serde(default)]
     pub seed: u64,
@@ -161,9 +166,19 @@ impl TaskSet {
             if let Some(set) = sets.into_iter().find(|set| !set.contains('=')) {
                 return Err((format!("task {id}: the setting {set:?}"), "key=value"));
             }
-            if task.map.contains(":run:") {
+            if task.map.is_some() != task.mentor.is_some() || task.map.is_some() == task.demo.is_some() {
+                let given = [
+                    ("map", task.map.is_some()),
+                    ("mentor", task.mentor.is_some()),
+                    ("demo", task.demo.is_some()),
+                ];
+                let given: Vec<&str> =
+                    given.into_iter().filter(|(_, given)| *given).map(|(key, _)| key).collect();
+                return Err((format!("task {id} with [{}]", given.join(", ")), "map and mentor, or demo"));
+            }
+            if let Some(map) = task.map.as_ref().filter(|map| map.contains(":run:")) {
                 return Err((
-                    format!("task {id}: map = {}", task.map),
+                    format!("task {id}: map = {map}"),
                     "a map that does not depend on a run's seed",
                 ));
             }
@@ -179,26 +194,31 @@ impl TaskSet {
         &self.tasks
     }
 
-    /// Every setting of `task` but its demonstration: those of all tasks, its map, its own, its budget. Later ones win.
+    /// Every setting of `task` but a demonstration that is made for it: those of all tasks, its map or its recorded
+    /// demonstration, its own, its budget. Later ones win.
     pub fn settings(&self, task: &Task) -> Vec<String> {
-        let map = format!("env.map={}", task.map);
+        let map = task.map.as_ref().map(|map| format!("env.map={map}"));
+        let demo = task.demo.as_ref().map(|demo| format!("mentor.demo={demo:?}"));
         let budget = format!("run.env_steps={}", task.env_steps);
-        self.set.iter().cloned().chain([map]).chain(task.set.iter().cloned()).chain([budget]).collect()
+        let own = map.into_iter().chain(demo).chain(task.set.iter().cloned());
+        self.set.iter().cloned().chain(own).chain([budget]).collect()
     }
 
-    /// The demonstration of `task`.
+    /// The demonstration that is made for `task`; none for one that brings its own.
     ///
     /// # Errors
     /// A task that cannot be.
-    pub fn demonstration(&self, task: &Task) -> Result<Demonstration, MentorError> {
+    pub fn demonstration(&self, task: &Task) -> Result<Option<Demonstration>, MentorError> {
+        let (Some(map), Some(mentor)) = (&task.map, task.mentor) else { return Ok(None) };
         demonstration(&Wanted {
             source: &task.preset,
             sets: &self.settings(task),
-            map: &task.map,
-            mentor: task.mentor,
+            map,
+            mentor,
             seed: task.seed,
             trajectories: task.trajectories,
         })
+        .map(Some)
     }
 }
 
@@ -262,16 +282,17 @@ mod tests {
                 let mut config = config::load(registry(), &task.preset, &set.settings(task)).unwrap();
                 registry().resolve(&mut config.env, 0).unwrap();
                 let env = registry().build(&config.env).unwrap_or_else(|e| panic!("{}: {e}", task.id));
-                let demonstration = set.demonstration(task).unwrap_or_else(|e| panic!("{}: {e}", task.id));
+                let demonstration =
+                    set.demonstration(task).unwrap_or_else(|e| panic!("{}: {e}", task.id)).unwrap();
                 let n = demonstration.n_states();
                 let possible = (0..n).filter(|&m| env.can_be_in(demonstration.state(m)).is_ok()).count();
-                if task.mentor == Mentor::OtherMap {
+                if task.mentor == Some(Mentor::OtherMap) {
                     assert!(possible < n && 2 * possible > n, "{}: {possible} of {n}", task.id);
                 } else {
                     assert_eq!(possible, n, "{}", task.id);
                 }
                 assert_eq!(demonstration.n_trajectories(), task.trajectories as usize, "{}", task.id);
-                assert_eq!(demonstration, set.demonstration(task).unwrap(), "{}", task.id);
+                assert_eq!(Some(demonstration), set.demonstration(task).unwrap(), "{}", task.id);
                 assert!(config.run.stop_when_solved && config.run.env_steps == Some(task.env_steps));
             }
         }
@@ -281,11 +302,12 @@ mod tests {
     #[test]
     fn the_sets_share_no_map_and_some_generators_are_for_the_report_alone() {
         let [choosing, reporting] = sets();
-        let maps = |set: &TaskSet| set.tasks().iter().map(|task| task.map.clone()).collect::<BTreeSet<_>>();
+        let maps =
+            |set: &TaskSet| set.tasks().iter().filter_map(|task| task.map.clone()).collect::<BTreeSet<_>>();
         assert!(maps(&choosing).is_disjoint(&maps(&reporting)));
         let mazes = |set: &TaskSet, group: &str| {
             let tasks = set.tasks().iter().filter(|task| task.id.starts_with(group));
-            tasks.map(|task| task.map.clone()).collect::<BTreeSet<_>>()
+            tasks.filter_map(|task| task.map.clone()).collect::<BTreeSet<_>>()
         };
         let generators = |maps: &BTreeSet<String>| {
             maps.iter().map(|map| map.split(':').next().unwrap().to_string()).collect::<BTreeSet<_>>()
@@ -309,6 +331,11 @@ mod tests {
             (task("id = \"report/b\", map = \"maze30\""), "neither called report"),
             (task("id = \"a/b\", map = \"random:run:9x9\""), "does not depend on a run's seed"),
             (task("id = \"a/b\", map = \"maze30\", trajectories = 0"), "trajectories = 0"),
+            (task("id = \"a/b\""), "task a/b with [mentor]; accepted: map and mentor, or demo"),
+            (
+                task("id = \"a/b\", map = \"maze30\", demo = \"a.csv\""),
+                "task a/b with [map, mentor, demo]; accepted: map and mentor, or demo",
+            ),
             (task("id = \"a/b\", map = \"maze30\", set = [\"x\"]"), "the setting \"x\"; accepted: key=value"),
             (task("id = \"a/b\", map = \"maze30\", sets = []"), "unknown field `sets`"),
         ] {
@@ -320,6 +347,17 @@ mod tests {
             unknown.contains("accepted: choosing, reporting, or a file; did you mean `choosing`?"),
             "{unknown}"
         );
+    }
+
+    #[test]
+    fn a_task_can_bring_a_recorded_demonstration() {
+        let text = "format = 1\nset = [\"eval.every=9\"]\n\
+            tasks = [{ id = \"a/b\", preset = \"mine.toml\", demo = \"a b.csv\", env_steps = 9, set = [\"x=1\"] }]";
+        let set = TaskSet::parse("mine", text).unwrap();
+        let [task] = set.tasks() else { panic!("one task") };
+        let expected = ["eval.every=9", "mentor.demo=\"a b.csv\"", "x=1", "run.env_steps=9"];
+        assert_eq!(set.settings(task), expected);
+        assert_eq!(set.demonstration(task).unwrap(), None);
     }
 
     #[test]
