@@ -25,7 +25,7 @@
 use crate::demonstration::Order;
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
-use crate::similarity::metric::kl;
+use crate::similarity::metric::{kl, square};
 use crate::similarity::tree::{Tree, WIDTH};
 use trestle_proto::annotation::{AnnotationTable, Estimate};
 use trestle_proto::config::{InferenceKind, MetricKind};
@@ -193,8 +193,8 @@ fn among_similar(
 
 /// Half the squared distance between s' - s and `change`, summed in the order of the features.
 fn kl_of_changes(state: &[f32], next: &[f32], change: &[f32]) -> f32 {
-    let square = |((a, b), c): ((&f32, &f32), &f32)| ((b - a) - c) * ((b - a) - c);
-    0.5 * state.iter().zip(next).zip(change).map(square).sum::<f32>()
+    let missed = state.iter().zip(next).zip(change).map(|((a, b), c)| (b - a) - c);
+    0.5 * missed.map(square).sum::<f32>()
 }
 
 /// Replaces the estimate of `j` if `error` is smaller, or equal and `ties` decides for the new one. `start` is the KL of

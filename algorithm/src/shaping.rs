@@ -39,7 +39,7 @@ impl Shaping {
         let Some(waypoints) = experiment.waypoints.as_ref().filter(|_| config.shaped()) else {
             return Ok(None);
         };
-        let metric = Metric::of(mentor, &experiment.spec.scale, &waypoints.states)?;
+        let metric = Metric::of(mentor, &experiment.spec, &waypoints.states)?;
         Ok(Some(Self {
             potential: config.shaping.potential as f32,
             gamma: config.learner.gamma as f32,

@@ -15,7 +15,8 @@
 //! farther from each other than half of what the mentor typically covers, so that the neighbourhoods of its states
 //! hardly overlap. `e_infeas`: the median KL of states one step apart. An observer transition counts as the mentor's
 //! if it misses it by no more than half a mentor step. Pairs of equal states are left out of the medians: a mentor
-//! that waits says nothing of its speed.
+//! that waits says nothing of its speed. So are pairs of different categories, which are never near; where there are no others,
+//! a change counts as one unit of scale.
 //!
 //! With inertia a step is mostly the body's own: it goes on as it did, whatever is done. Where changes of states are compared
 //! (`mentor.metric = "delta"`) and states have velocities, `e_infeas` is therefore taken from what the mentor's actions did, the
@@ -24,7 +25,7 @@
 //! observer that misses the mentor's change by no more than half of such a push passes, and one that coasts instead does not.
 
 use crate::demonstration::Demonstration;
-use crate::similarity::metric::{Metric, kl};
+use crate::similarity::metric::{DIFFERENT, Metric, kl};
 use std::fmt;
 
 /// So many times smaller than `auto` a threshold can be without a warning: a tenth of its distance, a twentieth of a mentor step.
@@ -33,6 +34,8 @@ pub const MOST: f64 = 100.0;
 /// A part of a feature's scale that an observer does not keep to: where a demonstration varies less in a feature than this, the
 /// feature stays as it is.
 const STILL: f32 = 1e-3;
+/// KL of states one unit of scale apart.
+const UNIT: f32 = 0.5;
 
 /// Counts and ranges of a demonstration.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,7 +81,8 @@ pub struct Apart {
     pub kl: Spread<f32>,
     /// The tenth part of the pairs is not above, and not below, these.
     pub tenths: [f32; 2],
-    /// The median over pairs of different states; none if there is none.
+    /// The median over pairs of different states of equal categories, or that of one unit of scale where only categories
+    /// change; none if all pairs are equal.
     pub moving: Option<f32>,
 }
 
@@ -151,8 +155,10 @@ fn apart(demo: &Demonstration, whitened: &[f32], steps: usize) -> Option<Apart> 
     let values = steps_apart(demo, whitened, steps);
     let last = values.len().checked_sub(1)?;
     let tenths = [values[last / 10], values[last - last / 10]];
-    let different = values[values.partition_point(|&kl| kl == 0.0)..].to_vec();
-    let moving = spread(different, f32::total_cmp).map(|kl| kl.median);
+    let different = &values[values.partition_point(|&kl| kl == 0.0)..];
+    let near = different[..different.partition_point(|&kl| kl < DIFFERENT)].to_vec();
+    let changes = (!different.is_empty()).then_some(UNIT);
+    let moving = spread(near, f32::total_cmp).map(|kl| kl.median).or(changes);
     Some(Apart { steps, pairs: values.len(), kl: spread(values, f32::total_cmp)?, tenths, moving })
 }
 
@@ -233,7 +239,9 @@ pub fn unreachable(
             }
         }
     }
-    for (index, (name, low, high)) in summary.features.iter().enumerate() {
+    let numbers =
+        summary.features.iter().enumerate().filter(|(index, _)| !metric.categories().contains(index));
+    for (index, (name, low, high)) in numbers {
         let still = STILL * scale[index];
         let mut moved = vec![0.0; metric.dim()];
         moved[index] = still;
@@ -278,6 +286,8 @@ impl fmt::Display for Summary {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use trestle_proto::config;
+    use trestle_proto::space::EnvSpec;
 
     fn line() -> Summary {
         let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
@@ -348,6 +358,41 @@ mod tests {
         let mut coasting = Demonstration::new(vec!["x".into(), "v".into()]).unwrap();
         coasting.push_trajectory(&[0.0, 1.0, 1.0, 1.0, 2.0, 1.0], false).unwrap();
         assert_eq!(summarise(&coasting, &metric, 1, &[1]).pushed, None);
+    }
+
+    #[test]
+    fn a_change_of_categories_says_nothing_of_a_step() {
+        let spec = EnvSpec {
+            name: "any".into(),
+            low: vec![0.0; 2],
+            high: vec![20.0; 2],
+            scale: vec![1.0; 2],
+            integral: false,
+            categories: vec![1],
+            velocities: Vec::new(),
+            actions: vec!["a".into(), "b".into()],
+            best_return: None,
+            threshold: None,
+            goal_bonus: 0.0,
+            defines_success: false,
+        };
+        let auto = |states: &[f32], features: Vec<usize>| {
+            let mut demo = Demonstration::new(vec!["x".into(), "room".into()]).unwrap();
+            demo.push_trajectory(states, true).unwrap();
+            let mentor = config::Mentor { features, ..config::Mentor::default() };
+            let metric = Metric::of(&mentor, &spec, demo.states()).unwrap();
+            let summary = summarise(&demo, &metric, 1, &[]);
+            let warnings = unreachable(&summary, &metric, &spec.scale, 0.5, 0.5);
+            assert_eq!(warnings, [] as [String; 0]);
+            summary.auto()
+        };
+        // Steps of 2, and through more doors than steps.
+        let states = [0.0, 1.0, 2.0, 1.0, 2.0, 4.0, 2.0, 7.0, 4.0, 7.0, 4.0, 3.0];
+        let steps = Auto { e_th: 0.5, e_infeas: 0.5 };
+        assert_eq!(auto(&states, vec![]), Some(steps));
+        assert_eq!(auto(&states, vec![0]), Some(steps));
+        assert_eq!(auto(&states, vec![1]), Some(Auto { e_th: 0.125, e_infeas: 0.125 }));
+        assert_eq!(auto(&[3.0, 1.0, 5.0, 1.0], vec![1]), None);
     }
 
     #[test]

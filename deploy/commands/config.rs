@@ -7,6 +7,10 @@ use anyhow::{Result, bail};
 use trestle_actor::env::registry;
 use trestle_proto::config::{self, Environments, Field};
 use trestle_proto::names;
+use trestle_proto::space::EnvSpec;
+
+/// Features that are shown by their names, at most.
+const MAX_SHOWN: usize = 24;
 
 pub(super) fn run(args: &Config) -> Result<ExitCode> {
     match args {
@@ -22,6 +26,10 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
                 spec.obs_dim(),
                 spec.actions.join(" ")
             );
+            let env = registry().build(&resolved.config.env)?;
+            if !env.features().is_empty() {
+                outln!("  features       {}", numbered(&env.features(), spec));
+            }
             if let Some(best) = spec.best_return {
                 outln!("  best return    {best:.2}");
             }
@@ -37,6 +45,16 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The features called `names` with their numbers, and which are categories; the first [`MAX_SHOWN`] of them.
+fn numbered(names: &[&str], spec: &EnvSpec) -> String {
+    let name = |(number, name): (usize, &&str)| match spec.categories.contains(&number) {
+        true => format!("{number} {name} (of {})", spec.high[number] - spec.low[number] + 1.0),
+        false => format!("{number} {name}"),
+    };
+    let shown: Vec<String> = names.iter().enumerate().take(MAX_SHOWN).map(name).collect();
+    shown.join(", ") + if names.len() > MAX_SHOWN { ", ..." } else { "" }
 }
 
 /// Prints the setting `key`, the settings of the table `key`, or all.

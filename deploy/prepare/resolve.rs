@@ -46,7 +46,7 @@ impl Mentors {
     /// Puts numbers in the place of thresholds that are `auto`, and of lengths of learned bridges that are automatic.
     fn resolve(&self, config: &mut Config, spec: &EnvSpec) -> Result<()> {
         if config.guide() == Some(GuideKind::Learned) {
-            learned_bridges::resolve(&mut config.mentor.learned, spec, &self.all)?;
+            learned_bridges::resolve(&mut config.mentor, spec, &self.all)?;
         }
         let mentor = &mut config.mentor;
         if mentor.e_th != Threshold::Auto && mentor.e_infeas != Threshold::Auto {
@@ -147,10 +147,15 @@ pub(super) fn copy_of(dir: &RunDir, demos: &Demos, name: &str) -> PathBuf {
 fn meet(mut config: Config) -> Result<Resolved> {
     registry().ready(&config.env)?;
     let env = registry().build(&config.env)?;
-    let spec = env.spec().clone();
+    let mut spec = env.spec().clone();
     config.mentor.metric = config.mentor.metric.of(&spec);
-    let mentors = if config.needs_demonstration() {
+    let wants_states = registry().wants_states(&config.env)?;
+    let mentors = if config.needs_demonstration() || wants_states {
         let mentors = mentors(&config, env.as_ref())?;
+        if wants_states {
+            registry().take_states(&mut config.env, mentors.all.states())?;
+            spec = registry().build(&config.env)?.spec().clone();
+        }
         mentors.resolve(&mut config, &spec)?;
         Some(mentors)
     } else {
@@ -183,7 +188,7 @@ fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     let mut all = first.clone();
     rest.try_for_each(|(_, demonstration)| all.append(demonstration))?;
     let mentor = &config.mentor;
-    let metric = Metric::of(mentor, &env.spec().scale, all.states())?;
+    let metric = Metric::of(mentor, env.spec(), all.states())?;
     let velocities = if mentor.metric == MetricKind::Delta { &env.spec().velocities[..] } else { &[] };
     let summary = summarise(&all, &metric, mentor.n as usize, velocities);
     Ok(Mentors { each, all, summary, metric, warnings })

@@ -67,13 +67,15 @@ impl Experiment {
     }
 
     /// Units of the input, the hidden layers and the output of the policy π of learned bridges: it sees a state as the
-    /// Q-network does, and the way to a goal. None without learned bridges.
+    /// Q-network does, and the way to a goal, of which a category has a number for each of its values. None without learned bridges.
     pub fn policy_sizes(&self) -> Option<Vec<usize>> {
         if self.config.guide() != Some(GuideKind::Learned) {
             return None;
         }
         let (network, learned) = (self.sizes(), &self.config.mentor.learned);
-        let input = network[0] + learned.features.len();
+        let sizes = self.mixed_sizes();
+        let way = learned.features.iter().map(|&feature| sizes.get(feature).map_or(1, |&size| size.max(1)));
+        let input = network[0] + way.sum::<usize>();
         let hidden = learned.hidden.iter().copied();
         Some(std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect())
     }

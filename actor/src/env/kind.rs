@@ -30,6 +30,20 @@ pub trait Kind: Environment + Sized + 'static {
         Ok(())
     }
 
+    /// Whether [`Kind::take_states`] needs the states of the run's demonstration, whatever its algorithm is.
+    fn wants_states(settings: &Self::Settings) -> bool {
+        false
+    }
+
+    /// Completes resolved `settings` with what `states` show, those of the demonstration, row-major. To do it again with the same
+    /// states changes nothing.
+    ///
+    /// # Errors
+    /// Settings that were not resolved.
+    fn take_states(settings: &mut Self::Settings, states: &[f32]) -> Result<(), EnvError> {
+        Ok(())
+    }
+
     /// Takes over into `typed`, which somebody types again to go on with a run, what [`Kind::resolve`] put into the run's
     /// own settings.
     fn adopt(typed: &mut Self::Settings, own: &Self::Settings) {}

@@ -75,7 +75,8 @@ pub trait Environment: Send {
     /// Takes over the state in `bytes`: from then on every step is what it would have been.
     ///
     /// # Errors
-    /// Bytes that are damaged, or no state of this environment; it is unchanged then.
+    /// Bytes that are damaged, or no state of this environment: it is unchanged then. An episode that has to be played again and
+    /// comes out otherwise: then none is running.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError>;
 
     /// What the features of an observation are called, in their order; none where they have no names.

@@ -77,6 +77,23 @@ impl Registry {
         Ok(())
     }
 
+    /// Whether the demonstration's states are needed to complete `env`: see [`Kind::wants_states`].
+    ///
+    /// # Errors
+    /// Settings that are not accepted.
+    pub fn wants_states(&self, env: &config::Env) -> Result<bool, EnvError> {
+        self.of(env)?.wants_states(env)
+    }
+
+    /// Completes the resolved `env` with what the demonstration's states show: see [`Kind::take_states`].
+    ///
+    /// # Errors
+    /// Settings that are not accepted, or were not resolved.
+    pub fn take_states(&self, env: &mut config::Env, states: &[f32]) -> Result<(), EnvError> {
+        env.own = self.of(env)?.take_states(env, states)?;
+        Ok(())
+    }
+
     /// Takes over into `typed` what was filled in when `own`, the same environment's settings, were resolved: see
     /// [`Kind::adopt`].
     ///
@@ -209,6 +226,8 @@ trait AnyKind: Send + Sync {
     fn complete(&self, env: &config::Env) -> Result<Table, ConfigError>;
     fn check(&self, config: &Config) -> Result<(), ConfigError>;
     fn resolve(&self, env: &config::Env, seed: u64) -> Result<Table, EnvError>;
+    fn wants_states(&self, env: &config::Env) -> Result<bool, EnvError>;
+    fn take_states(&self, env: &config::Env, states: &[f32]) -> Result<Table, EnvError>;
     fn adopt(&self, typed: &Table, own: &Table) -> Result<Table, EnvError>;
     fn build(&self, env: &config::Env) -> Result<Box<dyn Environment>, EnvError>;
     fn plan(&self, env: &config::Env, actions: &str) -> Result<Option<Vec<Vec<f32>>>, EnvError>;
@@ -262,6 +281,16 @@ impl<K: Kind> AnyKind for Typed<K> {
     fn resolve(&self, env: &config::Env, seed: u64) -> Result<Table, EnvError> {
         let mut settings = typed(&env.own)?;
         K::resolve(&mut settings, env, seed)?;
+        Ok(written(&settings)?)
+    }
+
+    fn wants_states(&self, env: &config::Env) -> Result<bool, EnvError> {
+        Ok(K::wants_states(&typed(&env.own)?))
+    }
+
+    fn take_states(&self, env: &config::Env, states: &[f32]) -> Result<Table, EnvError> {
+        let mut settings = typed(&env.own)?;
+        K::take_states(&mut settings, states)?;
         Ok(written(&settings)?)
     }
 

@@ -34,7 +34,7 @@ impl Known {
         if experiment.config.guide() != Some(GuideKind::Known) {
             return Ok(None);
         }
-        let metric = Metric::of(mentor, &experiment.spec.scale, &waypoints.states)?;
+        let metric = Metric::of(mentor, &experiment.spec, &waypoints.states)?;
         let whitened = metric.whiten_all(&waypoints.states);
         Ok(Some(Self {
             similarity: Similarity::new(whitened, metric.dim(), e_th as f32),

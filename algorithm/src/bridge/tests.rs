@@ -10,7 +10,7 @@ use super::{BridgeRule, Path, Place, cells::Cells, straight};
 use crate::demonstration::Demonstration;
 use crate::history::History;
 use crate::similarity::Similarity;
-use crate::similarity::metric::{Metric, kl};
+use crate::similarity::metric::{APART, Metric, kl};
 use crate::similarity::testing::cases;
 use crate::states::mix;
 use proptest::prelude::*;
@@ -49,6 +49,8 @@ fn worlds() -> impl Strategy<Value = World> {
         1 => proptest::collection::vec((-1.0f32..1.0, -1.0f32..1.0), 1..=16),
         1 => proptest::collection::vec((-1.0f32..1.0, Just(0.0)), 1..=16),
         1 => proptest::collection::vec((Just(0.0), Just(0.0)), 1..=3),
+        // A category, alone or beside a number.
+        1 => proptest::collection::vec(prop_oneof![Just((APART, 0.0f32)), Just((0.0, 1.0))], 1..=3),
     ];
     let jitter = prop_oneof![2 => Just(0.0f32), 1 => 0.01f32..0.4];
     let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]);

@@ -1,8 +1,10 @@
 //! The paths that a guide leads along: points among goals, the way covered up to each, and the one to aim at.
 //!
-//! All lengths are Euclidean in the chosen features, each in units of its scale. One trajectory's lengths begin at 0.
+//! All lengths are Euclidean in the chosen features, each in units of its scale. A change of a category is as long as one unit, but
+//! places of different categories are never near. One trajectory's lengths begin at 0.
 
 use super::goal::Goal;
+use crate::similarity::metric::APART;
 use crate::similarity::{Hit, Similarity};
 use serde::{Deserialize, Serialize};
 use trestle_proto::NONE;
@@ -31,7 +33,7 @@ impl Path {
             let mut covered = 0.0;
             for m in first..first + count {
                 if m > first {
-                    covered += distance(place(m - 1), place(m));
+                    covered += stride(place(m - 1), place(m));
                 }
                 length.push(covered);
             }
@@ -152,4 +154,13 @@ impl Paths {
 /// The Euclidean distance of two places.
 pub(super) fn distance(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum::<f32>().sqrt()
+}
+
+/// The length of a step between two places.
+pub(super) fn stride(a: &[f32], b: &[f32]) -> f32 {
+    let square = |(x, y): (&f32, &f32)| {
+        let way = x - y;
+        if way.abs() < APART { way * way } else { 1.0 }
+    };
+    a.iter().zip(b).map(square).sum::<f32>().sqrt()
 }

@@ -1,13 +1,14 @@
 //! From an experiment to the parts of learned bridges, and from settings that are automatic to numbers.
 
-use super::goal::Goal;
+use super::goal::{Goal, scales};
 use super::hindsight::{Hindsight, HindsightConfig};
 use super::imitation::{Imitation, ImitationConfig};
 use super::own::OwnPaths;
-use super::path::{Path, Paths, distance};
+use super::path::{Path, Paths, stride};
 use crate::demonstration::Demonstration;
+use crate::similarity::metric::APART;
 use trestle_proto::NONE;
-use trestle_proto::config::{GuideKind, Learned};
+use trestle_proto::config::{self, GuideKind};
 use trestle_proto::experiment::Experiment;
 use trestle_proto::rng::{Purpose, stream};
 use trestle_proto::space::EnvSpec;
@@ -51,12 +52,16 @@ pub enum LearnedError {
 ///
 /// # Errors
 /// Features that are not the environment's, or in which the mentor stays where it is.
-pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) -> Result<(), LearnedError> {
+pub fn resolve(
+    settings: &mut config::Mentor,
+    spec: &EnvSpec,
+    mentor: &Demonstration,
+) -> Result<(), LearnedError> {
     let dim = spec.obs_dim();
+    let scale = scales(settings, spec).into_owned();
+    let learned = &mut settings.learned;
     if learned.features.is_empty() {
-        let counts =
-            |feature: &usize| !spec.velocities.contains(feature) && !spec.categories.contains(feature);
-        learned.features = (0..dim).filter(counts).collect();
+        learned.features = automatic(&settings.features, spec);
     }
     let features = &learned.features;
     let ascending = features.is_sorted_by(|a, b| a < b);
@@ -64,7 +69,7 @@ pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) ->
         let (found, env) = (features.clone(), spec.name.clone());
         return Err(LearnedError::Features { found, env, last: dim - 1 });
     }
-    let median = median_step(features, spec, mentor)
+    let median = median_step(features, &scale, spec, mentor)
         .ok_or_else(|| LearnedError::Still { features: features.clone() })?;
     // A slow mentor must not make the goals so near that any step passes them.
     let stride = median.max(1.0);
@@ -81,15 +86,33 @@ pub fn resolve(learned: &mut Learned, spec: &EnvSpec, mentor: &Demonstration) ->
     Ok(())
 }
 
+/// The features of goals where nobody chooses them: those in which states are compared, or else all that are neither velocities nor
+/// categories, or else all that are no velocities.
+fn automatic(compared: &[usize], spec: &EnvSpec) -> Vec<usize> {
+    let (all, is_velocity) = (0..spec.obs_dim(), |feature: &usize| spec.velocities.contains(feature));
+    let mut features: Vec<usize> = compared.to_vec();
+    features.sort_unstable();
+    if features.is_empty() {
+        let counts = |feature: &usize| !is_velocity(feature) && !spec.categories.contains(feature);
+        features = all.clone().filter(counts).collect();
+    }
+    if features.is_empty() {
+        features = all.filter(|feature| !is_velocity(feature)).collect();
+    }
+    features
+}
+
 /// The median length of the mentor's steps, without those that lead nowhere; none without any other.
-fn median_step(features: &[usize], spec: &EnvSpec, mentor: &Demonstration) -> Option<f64> {
-    let place = |m: usize| -> Vec<f32> {
-        features.iter().map(|&feature| mentor.state(m)[feature] / spec.scale[feature]).collect()
+fn median_step(features: &[usize], scale: &[f32], spec: &EnvSpec, mentor: &Demonstration) -> Option<f64> {
+    let number = |state: &[f32], f: usize| match spec.categories.contains(&f) {
+        true => state[f] * APART,
+        false => state[f] / scale[f],
     };
+    let place = |m: usize| -> Vec<f32> { features.iter().map(|&f| number(mentor.state(m), f)).collect() };
     let mut steps: Vec<f32> = Vec::with_capacity(mentor.n_transitions());
     for i in 0..mentor.n_trajectories() {
         let states = mentor.trajectory(i);
-        let lengths = states.clone().zip(states.skip(1)).map(|(m, next)| distance(&place(m), &place(next)));
+        let lengths = states.clone().zip(states.skip(1)).map(|(m, next)| stride(&place(m), &place(next)));
         steps.extend(lengths.filter(|&length| length > 0.0));
     }
     steps.sort_unstable_by(f32::total_cmp);
@@ -103,7 +126,9 @@ fn median_step(features: &[usize], spec: &EnvSpec, mentor: &Demonstration) -> Op
 pub fn policy_of(experiment: &Experiment) -> Result<Option<(Goal, Layout)>, PlanError> {
     let Some(sizes) = experiment.policy_sizes() else { return Ok(None) };
     let (_, encoding) = network_of(experiment)?;
-    let goal = Goal::new(encoding, &experiment.config.mentor.learned.features, &experiment.spec.scale);
+    let (mentor, spec) = (&experiment.config.mentor, &experiment.spec);
+    let goal = Goal::new(encoding, &mentor.learned.features, &scales(mentor, spec));
+    let goal = goal.with_categories(spec, &experiment.one_hot_sizes());
     Ok(Some((goal, Layout::new(&sizes)?)))
 }
 
@@ -174,6 +199,7 @@ pub fn imitation_of(experiment: &Experiment) -> Result<Option<Imitation>, PlanEr
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use trestle_proto::config::Learned;
 
     /// States of a position, in units of 2, and its velocity.
     fn spec() -> EnvSpec {
@@ -202,8 +228,28 @@ mod tests {
         mentor
     }
 
-    fn resolved(mut learned: Learned, mentor: &Demonstration) -> Result<Learned, LearnedError> {
-        resolve(&mut learned, &spec(), mentor).map(|()| learned)
+    fn resolved(learned: Learned, mentor: &Demonstration) -> Result<Learned, LearnedError> {
+        let mut settings = config::Mentor { learned, ..config::Mentor::default() };
+        resolve(&mut settings, &spec(), mentor).map(|()| settings.learned)
+    }
+
+    #[test]
+    fn features_and_scale_are_those_in_which_states_are_compared() {
+        let mut settings =
+            config::Mentor { features: vec![1, 0], scale: vec![1.0, 7.0], ..config::Mentor::default() };
+        // Both in units of 1.
+        resolve(&mut settings, &spec(), &mentor(&[&[0.0, 6.0]])).unwrap();
+        assert_eq!(settings.learned.features, [0, 1]);
+        assert_eq!(settings.learned.lookahead, 3.0 * f64::from(72f32.sqrt()));
+        // A change of a category is as long as a unit.
+        let categories = |all: &[usize]| {
+            let spec = EnvSpec { categories: all.to_vec(), velocities: Vec::new(), ..spec() };
+            let mut settings = config::Mentor::default();
+            resolve(&mut settings, &spec, &mentor(&[&[0.0, 6.0]])).unwrap();
+            (settings.learned.features, settings.learned.lookahead)
+        };
+        assert_eq!(categories(&[0]), (vec![1], 126.0));
+        assert_eq!(categories(&[0, 1]), (vec![0, 1], 3.0 * f64::from(2f32.sqrt())));
     }
 
     #[test]

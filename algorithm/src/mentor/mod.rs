@@ -171,7 +171,7 @@ impl Mentor {
         if demo.dim() != dim {
             return Err(MentorError::Features { found: demo.dim(), expected: dim });
         }
-        let metric = Metric::of(config, &spec.scale, demo.states())?;
+        let metric = Metric::of(config, spec, demo.states())?;
         let whitened = metric.whiten_all(demo.states());
         let order = demo.order();
         let count = order.n_transitions();

@@ -1,5 +1,6 @@
 //! Point sets for properties: random ones, and sets that indexes tend to get wrong.
 
+use super::metric::APART;
 use proptest::prelude::*;
 
 /// `few` cases, or as many as `PROPTEST_CASES` asks for.
@@ -9,9 +10,9 @@ pub(crate) fn cases(few: u32) -> ProptestConfig {
 }
 
 /// Points of 1 to 16 features, row-major, and the number of features. `count` of them: all equal, on a line, on a coarse
-/// lattice (many duplicates and exact ties), anywhere, or of very different magnitudes.
+/// lattice (many duplicates and exact ties), anywhere, of very different magnitudes, or on a lattice with some categories.
 pub(crate) fn points(count: std::ops::Range<usize>) -> impl Strategy<Value = (usize, Vec<f32>)> {
-    (1usize..=16, 0u8..5, count).prop_flat_map(|(dim, kind, count)| {
+    (1usize..=16, 0u8..6, count).prop_flat_map(|(dim, kind, count)| {
         proptest::collection::vec(-3.0f32..3.0, (count + 2) * dim).prop_map(move |numbers| {
             let (first, rest) = numbers.split_at(dim);
             let (direction, rest) = rest.split_at(dim);
@@ -21,6 +22,8 @@ pub(crate) fn points(count: std::ops::Range<usize>) -> impl Strategy<Value = (us
                 1 => first[at % dim] + rest[at - at % dim].round() * direction[at % dim],
                 2 => x.round(),
                 3 => x,
+                4 if direction[at % dim] > 0.0 => x.round() * APART,
+                4 => x,
                 _ => x * 10f32.powi(12 * direction[at % dim] as i32 / 2),
             };
             (dim, rest.iter().enumerate().map(feature).collect())

@@ -9,6 +9,7 @@
 //! all of them at once. The points of a leaf form groups of [`WIDTH`] that are compared in the same way and lie one after the
 //! other.
 
+use super::metric::square;
 use std::ops::Range;
 
 /// Children of a node, at most, and points of a group.
@@ -156,7 +157,7 @@ impl Tree {
                 // Unlike `f32::max` these are single instructions.
                 let gap = if below > above { below } else { above };
                 let gap = if gap > 0.0 { gap } else { 0.0 };
-                sum[lane] += gap * gap;
+                sum[lane] += square(gap);
             }
         }
         sum.map(|sum| 0.5 * MARGIN * sum)
@@ -169,7 +170,7 @@ impl Tree {
         let rows = &self.rows[at * self.stride + group * self.dim + first..];
         for (&x, row) in query.iter().zip(rows) {
             for lane in 0..WIDTH {
-                sum[lane] += (x - row[lane]) * (x - row[lane]);
+                sum[lane] += square(x - row[lane]);
             }
         }
         sum.map(|sum| 0.5 * sum)

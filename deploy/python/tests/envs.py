@@ -59,6 +59,12 @@ class Spaces(Line):
             "dict": spaces.Dict({"b": spaces.Discrete(3), "a": spaces.Box(-1, 1, (2,), np.float32)}),
             "text": spaces.Text(5),
             "talk": spaces.Dict({"said": spaces.Text(5), "at": spaces.Box(-1, 1, (2,), np.float32)}),
+            "letter": spaces.Dict(
+                {
+                    "at": spaces.Box(-1, 1, (2,), np.float32),
+                    "post": spaces.Dict({"said": spaces.Text(5), "more": spaces.Tuple((spaces.Text(5),))}),
+                }
+            ),
             "huge": spaces.Box(-1, 1, (100, 100), np.float32),
         }[observation]
         self.action_space = {

@@ -76,6 +76,14 @@ def test_actions_come_in_the_form_of_the_environment(tmp_path: Path, monkeypatch
         policy.predict({"a": np.zeros((5, 2)), "b": 2})
 
 
+def test_parts_without_features_are_passed_over_however_deep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parent)
+    own = {"env.gym.make": "envs:Spaces", "env.gym.kwargs": {"observation": "letter"}, "env.gym.features": ["at"]}
+    made = trestle.train("gym", algo="dqn", env_steps=300, overrides=OVERRIDES | own, out=tmp_path / "run")
+    obs = {"at": np.zeros(2, dtype=np.float32), "post": {"said": "hello", "more": ("you",)}}
+    assert made.policy().q_values(obs).shape == (3,)
+
+
 def test_runs_go_on_and_refusals_are_told(run: trestle.Run, tmp_path: Path) -> None:
     seen: list[trestle.Progress] = []
     made = train(tmp_path / "run", "gym:CartPole-v1", env_steps=600, callback=seen.append)

@@ -83,6 +83,7 @@ def test_actions_of_every_space_are_enumerated(trestle: Trestle, action: str, ow
             ["envs:Moody is not deterministic: with the same seed and actions the observation after 0 steps differs"],
         ),
         ({"id": "No-Such-v0"}, ["env.gym.id = No-Such-v0", "accepted: an id that Gymnasium has"]),
+        ({"id": "envs:Line"}, ["env.gym.id = envs:Line", "for a class or a function env.gym.make = module:name"]),
         ({"make": "os:getcwd"}, ["os:getcwd is str without `reset`"]),
     ],
 )
@@ -114,6 +115,26 @@ def test_everything_is_found_once_and_written_down(trestle: Trestle, tmp_path: P
     # 8 steps of 1/2 each.
     returns = (tmp_path / "run/evals.csv").read_text().splitlines()[-1].split(",")
     assert "4.0" in returns or "4" in returns
+
+
+def test_features_are_shown_by_number_and_name(trestle: Trestle) -> None:
+    said = check(trestle, make="envs:Spaces", kwargs="{observation='dict'}")
+    names = "0 a[0], 1 a[1], 2 b (of 3)"
+    assert f"  features       {names}\n" in said
+    said = check(trestle, make="envs:Spaces", kwargs="{observation='binary'}")
+    assert "0 0 (of 2), 1 1 (of 2), 2 2 (of 2)" in said
+
+
+def test_the_demonstration_scales_the_input_if_it_is_to(trestle: Trestle, tmp_path: Path) -> None:
+    (tmp_path / "states.csv").write_text("trajectory,terminal,0\n0,0,0\n0,0,1\n0,1,2\n")
+    settings = {"env.gym.make": "envs:Line", "env.gym.scale": "'demonstration'", "mentor.demo": "states.csv"}
+    for algo in ["dqn", "ha-diiqn"]:
+        trestle("train", "gym", "--algo", algo, "--env-steps", 640, "--out", algo, *sets(settings))
+        config = tomllib.loads((tmp_path / algo / "config.toml").read_text())
+        assert json.loads(config["env"]["gym"]["found"])["features"]["range"] == [[-1.0, 3.0]]
+        trestle("resume", algo, "--env-steps", 960)
+    said = check(trestle, ok=False, make="envs:Line", scale="'demonstrations'")
+    assert "env.gym.scale = demonstrations; accepted: a number above 0 for each feature, or demonstration" in said
 
 
 def test_thresholds_come_from_the_registry(trestle: Trestle) -> None:

@@ -45,13 +45,16 @@ def test_runs_repeat_and_go_on_exactly(trestle: Trestle, tmp_path: Path, config:
     assert sha(tmp_path / "whole") == sha(tmp_path / "parts") == sha(tmp_path / "one")
 
 
-def test_a_killed_actor_changes_nothing(trestle: Trestle, tmp_path: Path) -> None:
-    settings = sets({"checkpoint.every_env_steps": 1000})
-    args = ["train", "gym:CartPole-v1", "--algo", "dqn", "--env-steps", "20000", *settings]
+@pytest.mark.parametrize(("config", "package", "own"), ENVIRONMENTS)
+def test_a_killed_actor_changes_nothing(trestle: Trestle, tmp_path: Path, config: str, package: str, own: dict[str, str]) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+    settings = sets({"env.step_limit": 120, "checkpoint.every_env_steps": 480, "eval.every": 5} | own)
+    args = ["train", config, "--algo", "dqn", "--actors", "3", "--env-steps", "4992", *settings]
     trestle(*args, "--out", "whole")
     command = [sys.executable, "-m", "trestle", *args, "--out", "killed"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as training:
-        actor = "\x00".join(["actor", "--index", "0", "--run", "killed"])
+        actor = "\x00".join(["actor", "--index", "1", "--run", "killed"])
         checkpoints = tmp_path / "killed/checkpoints"
         while training.poll() is None and not list(checkpoints.glob("*/COMPLETE")):
             time.sleep(0.01)
@@ -62,7 +65,7 @@ def test_a_killed_actor_changes_nothing(trestle: Trestle, tmp_path: Path) -> Non
         ]
         assert len(victims) == 1
         os.kill(victims[0], signal.SIGKILL)
-        assert training.wait(120) == 0
+        assert training.wait(300) == 0
     assert json.loads((tmp_path / "killed/result.json").read_text())["restarts"] == 1
     assert sha(tmp_path / "killed") == sha(tmp_path / "whole")
 

@@ -6,8 +6,8 @@ use crate::limits::{MAX_HORIZON, MAX_OWN_PATHS, MAX_WIDTH};
 use crate::settings;
 
 settings! {
-    /// `[mentor.learned]`, for `exploration.guide = "learned"`. Lengths are Euclidean in the chosen features, each in units of the
-    /// environment's scale of it.
+    /// `[mentor.learned]`, for `exploration.guide = "learned"`. Lengths are Euclidean in the chosen features, each in units of
+    /// `mentor.scale`, or else of the environment's scale of it. A change of a category is one unit long.
     pub struct Learned {
         /// Units of each hidden layer of the policy π.
         hidden: Vec<usize> = vec![64, 64], list(1..=MAX_HIDDEN, between(1, MAX_WIDTH))
@@ -18,8 +18,8 @@ settings! {
         lr: f64 = 1e-3, above(0.0);
         /// Most steps between a state and the later state that is taken for its goal.
         horizon: usize = 6, between(1, MAX_HORIZON);
-        /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: all that are
-        /// neither velocities nor categories.
+        /// Features of a state, counted from 0, in which it is compared with the mentor's path. Empty: those of
+        /// `mentor.features`, or else all that are neither velocities nor categories, or else all that are no velocities.
         features: Vec<usize> = Vec::new(), any("features of the environment, each once, in ascending order");
         /// How near to a mentor state the observer counts as being there. 0: 1.5, which in a maze is less
         /// than the two cells between passages.

@@ -53,6 +53,24 @@ pub struct Features {
     pub integral: bool,
 }
 
+impl Features {
+    /// Scales the network's input by `states`, row-major: to twice their range, around its middle. A category, and a feature in
+    /// which all states are equal, stays as it is.
+    pub(super) fn spread_over(&mut self, states: &[f32]) {
+        let dim = self.range.len();
+        for (feature, range) in self.range.iter_mut().enumerate() {
+            let values = states.iter().skip(feature).step_by(dim);
+            let (low, high) =
+                values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
+            if low < high && !self.categories.contains(&feature) {
+                let (middle, width) =
+                    ((f64::from(low) + f64::from(high)) / 2.0, f64::from(high) - f64::from(low));
+                *range = [middle - width, middle + width].map(|x| f64::from(x as f32));
+            }
+        }
+    }
+}
+
 /// The actions that the agent has, in their order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Actions {
@@ -100,5 +118,31 @@ impl Found {
             goal_bonus: 0.0,
             defines_success: false,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_spread_over_what_varies_and_is_a_number() {
+        let mut features = Features {
+            names: ["a", "b", "c"].map(String::from).to_vec(),
+            places: vec![0, 1, 2],
+            bounds: vec![[None; 2]; 3],
+            range: vec![[-9.0, 9.0], [-1.0, 1.0], [0.0, 4.0]],
+            step: vec![1.0; 3],
+            categories: vec![2],
+            integral: false,
+        };
+        let states = [1.0, 5.0, 0.0, 3.0, 5.0, 1.0, 2.0, 5.0, 2.0];
+        features.spread_over(&states);
+        let expected = vec![[0.0, 4.0], [-1.0, 1.0], [0.0, 4.0]];
+        assert_eq!(features.range, expected);
+        features.spread_over(&states);
+        assert_eq!(features.range, expected);
+        features.spread_over(&[]);
+        assert_eq!(features.range, expected);
     }
 }

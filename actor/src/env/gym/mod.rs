@@ -19,7 +19,7 @@ pub use environment::Gym;
 pub use error::GymError;
 pub use found::{Actions, Features, Found};
 pub use host::{Host, Made, Outcome, Simulator, install_host};
-pub use settings::{Kwargs, Picks, Settings};
+pub use settings::{Kwargs, Picks, Scale, Settings};
 
 use super::{EnvError, Foreign, Kind};
 use host::host;
@@ -67,6 +67,19 @@ impl Kind for Gym {
         Ok(())
     }
 
+    fn wants_states(settings: &Settings) -> bool {
+        settings.scale.is_of_demonstration()
+    }
+
+    fn take_states(settings: &mut Settings, states: &[f32]) -> Result<(), EnvError> {
+        if settings.scale.is_of_demonstration() {
+            let mut found = Found::parse(settings.found.as_deref().ok_or(GymError::Unresolved)?)?;
+            found.features.spread_over(states);
+            settings.found = Some(found.to_json()?);
+        }
+        Ok(())
+    }
+
     fn adopt(typed: &mut Settings, own: &Settings) {
         typed.found.clone_from(&own.found);
         // The run has the whole path of what was found under a bare name.
@@ -76,8 +89,11 @@ impl Kind for Gym {
     }
 
     fn check(settings: &Settings, _config: &Config) -> Result<(), ConfigError> {
-        let scale = settings.scale.iter().find(|scale| !(scale.is_finite() && **scale > 0.0));
-        if let Some(scale) = scale {
+        let wrong = match &settings.scale {
+            Scale::Each(all) => all.iter().find(|scale| !(scale.is_finite() && **scale > 0.0)),
+            Scale::Named(_) => None,
+        };
+        if let Some(scale) = wrong {
             return Err(refuse("env.gym.scale", scale, "a number above 0 for each feature"));
         }
         if let Some(bins) = settings.bins.iter().find(|bins| !(2..=MAX_ACTIONS).contains(*bins)) {

@@ -65,7 +65,8 @@ def make(settings: Settings) -> gymnasium.Env[Any, Any]:
         try:
             env = gymnasium.make(settings["id"], **kwargs)
         except gymnasium.error.Error as error:
-            raise Refused(f"env.gym.id = {settings['id']}: {error}; accepted: an id that Gymnasium has") from error
+            accepted = "an id that Gymnasium has, or for a class or a function env.gym.make = module:name"
+            raise Refused(f"env.gym.id = {settings['id']}: {error}; accepted: {accepted}") from error
         except ModuleNotFoundError as error:
             raise Refused(f"env.gym.id = {settings['id']}: {error}") from error
     for wrapper in settings["wrappers"]:
@@ -146,25 +147,28 @@ class _Parts:
                 self._feature(name or "state", 0.0, float(n - 1), category=n > 1, integral=True)
                 return {"kind": "discrete", "n": n, "start": start}
             case spaces.MultiBinary():
-                return self._array(name, space, 0, 1, False)
+                return self._array(name, space, 0, 1, True)
             case spaces.MultiDiscrete():
                 first = np.asarray(getattr(space, "start", np.zeros_like(space.nvec)))
                 return self._array(name, space, first, first + space.nvec - 1, True)
             case spaces.Tuple():
-                return {"kind": "tuple", "spaces": [self._add(part, below(i)) for i, part in enumerate(space.spaces)]}
+                made = [self._add(part, below(i)) for i, part in enumerate(space.spaces)]
+                return _unless_empty({"kind": "tuple", "spaces": made})
             case spaces.Dict():
                 parts = [(str(key), part) for key, part in space.spaces.items()]
-                return {
-                    "kind": "dict",
-                    "keys": [key for key, _ in parts],
-                    "spaces": [self._add(part, below(key)) for key, part in parts],
-                }
+                made = [self._add(part, below(key)) for key, part in parts]
+                return _unless_empty({"kind": "dict", "keys": [key for key, _ in parts], "spaces": made})
         if name and self._picked:
             return {"kind": "none"}
         raise Refused(
             f"an observation of {_shown(space)}; accepted: Box, Discrete, MultiBinary, MultiDiscrete, and Tuple and Dict of them, "
             "and other parts of a Tuple or Dict where env.gym.features picks none of them"
         )
+
+
+def _unless_empty(layout: dict[str, Any]) -> dict[str, Any]:
+    """``layout`` of several parts, or that of nothing where no part has a feature."""
+    return layout if any(part["kind"] != "none" for part in layout["spaces"]) else {"kind": "none"}
 
 
 def _picked(picks: list[int | str], names: list[str], key: str, *, parts: bool) -> list[int]:
@@ -360,7 +364,8 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
         raise Refused(
             f"an observation of {_shown(env.observation_space)} has no features; accepted: 1 to {_trestle.MAX_FEATURES}"
         )
-    scale = settings["scale"]
+    # By the name of the demonstration, whose states are not here: the program puts their range in the place of this one.
+    scale = [] if isinstance(settings["scale"], str) else settings["scale"]
     if scale and len(scale) != len(places):
         raise Refused(f"env.gym.scale has {len(scale)} numbers; accepted: {len(places)}, one for each feature")
 

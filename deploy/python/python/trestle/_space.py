@@ -31,6 +31,7 @@ def rows(layout: Layout, obs: Any) -> tuple[NDArray[np.float32], bool]:
             parts = [obs[key] for key in layout["keys"]]
     if len(parts) != len(layout["spaces"]):
         raise ValueError(f"an observation of {len(parts)} parts; accepted: {len(layout['spaces'])}")
+    # At least one part has features: otherwise the whole would be nothing.
     made = [rows(space, part) for space, part in zip(layout["spaces"], parts) if space["kind"] != "none"]
     if len({(len(flat), batch) for flat, batch in made}) != 1:
         raise ValueError("the parts of an observation are batches of different lengths; accepted: of one length")
