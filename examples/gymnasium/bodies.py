@@ -22,23 +22,41 @@ def mountain_car(force: float = 0.001, steps: int = 200) -> gymnasium.Env[Any, A
     return env
 
 
+def breakout(sticky: float = 0.0) -> gymnasium.Env[Any, Any]:
+    """MinAtar's Breakout with the actions stay, left and right; ``sticky`` is how likely the last action is repeated."""
+    from minatar.gym import BaseEnv
+
+    env: gymnasium.Env[Any, Any] = BaseEnv("breakout", use_minimal_action_set=True, sticky_action_prob=sticky)
+    return env
+
+
+def reacher(gear: tuple[float, float] = (200.0, 200.0)) -> gymnasium.Env[Any, Any]:
+    """MuJoCo's arm of two links that reaches for a point; ``gear`` are the ratios of its two motors, Gymnasium's are 200."""
+    env = gymnasium.make("Reacher-v5")
+    env.unwrapped.model.actuator_gear[:, 0] = gear  # type: ignore[attr-defined]
+    return env
+
+
 class DoorKey(gymnasium.Env[Any, Any]):
     """MiniGrid's DoorKey on one layout: fetch the key, open the door, reach the goal.
 
-    The state is (column, row, direction, key in hand, door open). With ``strides`` the body goes a cell in any of four directions,
-    takes a key and opens a door by going there. Without, it has MiniGrid's own actions: turn, go ahead, pick up, toggle.
+    The state is (column, row), direction, key in hand, door open; the last three are categories. With ``strides`` the body goes a
+    cell in any of four directions, takes a key and opens a door by going there. Without, it has MiniGrid's own actions: turn, go
+    ahead, pick up, toggle.
     """
 
-    def __init__(self, strides: bool = False, size: int = 6, layout: int = 1) -> None:
-        """``layout`` is the seed of the walls, the key, the door and the start."""
+    def __init__(self, strides: bool = False, size: int = 8, layout: int = 1, toll: float = 0.0) -> None:
+        """``layout`` is the seed of the walls, the key, the door and the start; a step costs ``toll``."""
         import minigrid  # noqa: F401  (registers its environments)
 
         self.grid = gymnasium.make(f"MiniGrid-DoorKey-{size}x{size}-v0", disable_env_checker=True)
         self.bare: Any = self.grid.unwrapped
-        self.strides, self.layout = strides, layout
-        last = size - 1
-        self.observation_space = gymnasium.spaces.Box(
-            np.zeros(5, dtype=np.float32), np.array([last, last, 3, 1, 1], dtype=np.float32)
+        self.strides, self.layout, self.toll = strides, layout, toll
+        self.observation_space = gymnasium.spaces.Dict(
+            place=gymnasium.spaces.Box(0, size - 1, (2,), np.float32),
+            direction=gymnasium.spaces.Discrete(4),
+            key=gymnasium.spaces.Discrete(2),
+            door=gymnasium.spaces.Discrete(2),
         )
         self.action_space = gymnasium.spaces.Discrete(4 if strides else 5)
 
@@ -53,7 +71,7 @@ class DoorKey(gymnasium.Env[Any, Any]):
         return self._state(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take an action; a step costs 0.02, the goal is worth 1."""
+        """Take an action; the goal is worth 1."""
         kinds = self.bare.actions
         if self.strides:
             self.bare.agent_dir = int(action)
@@ -65,10 +83,9 @@ class DoorKey(gymnasium.Env[Any, Any]):
             done = self.grid.step(kinds.forward)
         else:
             done = self.grid.step([kinds.left, kinds.right, kinds.forward, kinds.pickup, kinds.toggle][int(action)])
-        return self._state(), 1.0 if done[2] else -0.02, done[2], done[3], {}
+        return self._state(), 1.0 if done[2] else -self.toll, done[2], done[3], {}
 
     def _state(self) -> Any:
         door = any(cell is not None and cell.type == "door" and cell.is_open for cell in self.bare.grid.grid)
-        column, row = self.bare.agent_pos
-        key = self.bare.carrying is not None
-        return np.array([column, row, self.bare.agent_dir, key, door], dtype=np.float32)
+        place = np.array(self.bare.agent_pos, dtype=np.float32)
+        return {"place": place, "direction": int(self.bare.agent_dir), "key": int(self.bare.carrying is not None), "door": int(door)}
