@@ -309,7 +309,7 @@ pub(crate) struct Eval {
     /// Seed of the episodes' random streams; the run's own if not given
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"))]
     pub(crate) seed: Option<u64>,
-    /// Draw the first episode on its map into a file: .gif in motion, .png or .svg as a line
+    /// Draw the first episode into a file: .gif in motion, .png or .svg still; on its map, or as the environment renders itself
     #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) picture: Option<PathBuf>,
     /// Replace the picture if it exists

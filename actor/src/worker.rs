@@ -1,7 +1,7 @@
 //! One actor without any transport: it collects batches, plays greedy evaluations, and can be saved and restored.
 
 use crate::env::hazard::Hazards;
-use crate::env::{EnvError, Environment, registry};
+use crate::env::{EnvError, Environment, Frame, registry};
 use crate::guide::{Guide, Progress};
 use crate::policy::Policy;
 use serde::{Deserialize, Serialize};
@@ -410,6 +410,32 @@ impl Worker {
             played.push(episode);
         }
         Ok(Evaluation { evaluation, episodes: played, guide_return: None })
+    }
+
+    /// The first episode of the evaluation with this number again: `see` gets what the environment looks like at its beginning and
+    /// after each step. Returns whether it has pictures at all.
+    ///
+    /// # Errors
+    /// As [`Worker::evaluate`].
+    pub fn film(
+        &mut self,
+        weights: &[f32],
+        evaluation: u64,
+        see: &mut dyn FnMut(Frame),
+    ) -> Result<bool, ActorError> {
+        let mut rng = stream(self.seed, Purpose::Evaluation, evaluation);
+        self.evaluation_env.reset(&mut rng, &mut self.evaluation_obs)?;
+        loop {
+            let Some(frame) = self.evaluation_env.frame()? else { return Ok(false) };
+            see(frame);
+            let action = self.policy.greedy(weights, &self.evaluation_obs);
+            let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
+            pulse::step();
+            if step.terminated || step.truncated {
+                self.evaluation_env.frame()?.into_iter().for_each(see);
+                return Ok(true);
+            }
+        }
     }
 
     /// The return of an episode that follows the likeliest actions of a learned guide's policy with the parameters `policy`, and

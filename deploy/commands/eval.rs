@@ -1,6 +1,6 @@
 //! `trestle eval`
 
-use super::picture;
+use super::picture::{self, Episode};
 use crate::cli::{Eval, Which};
 use crate::output::say;
 use crate::prepare;
@@ -20,6 +20,9 @@ use trestle_qnet::Layout;
 
 /// Checkpoints that a refusal names, at most.
 const MAX_NAMED: usize = 6;
+
+/// Number of the evaluation. Those of training count up from 0: this one's stream of resets is none of theirs.
+const EVALUATION: u64 = u64::MAX;
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -56,8 +59,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     let mut played = experiment.clone();
     played.config.run.seed = args.seed.unwrap_or(experiment.config.run.seed);
     let mut worker = Worker::new(&played, 0)?;
-    // Evaluations of training count up from 0; this one's stream of resets is none of theirs.
-    let evaluation = worker.evaluate(&weights, u64::MAX, args.episodes)?;
+    let evaluation = worker.evaluate(&weights, EVALUATION, args.episodes)?;
 
     let episodes = &evaluation.episodes;
     let mean =
@@ -74,7 +76,9 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     };
     if let Some((out, kind)) = args.picture.as_deref().zip(kind) {
         let path = episodes.first().map_or(&[][..], |episode| &episode.path);
-        picture::write(&dir, &experiment, path, out, kind)?;
+        let (weights, seed) = (&weights, played.config.run.seed);
+        let episode = Episode { weights, evaluation: EVALUATION, seed, path };
+        picture::write(&dir, &experiment, episode, out, kind)?;
     }
     if args.json {
         outln!("{}", serde_json::to_string(&figures).context("cannot encode the figures")?);

@@ -1,11 +1,12 @@
 //! An evaluation as a picture or a film.
 
 use super::demo::free;
-use super::report::{mentor_steps, squares};
+use super::report::{led_steps, mentor_steps, squares};
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
 use std::path::Path;
-use trestle_actor::env::registry;
+use trestle_actor::env::{Frame, registry};
+use trestle_actor::worker::Worker;
 use trestle_algorithm::agent::Agent;
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
@@ -13,6 +14,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rundir::RunDir;
 use trestle_report::film::gif;
+use trestle_report::footage::Footage;
 use trestle_report::maze::Maze;
 use trestle_report::plot::{View, png};
 
@@ -32,24 +34,33 @@ pub(super) fn kind(path: &Path, overwrite: bool) -> Result<&'static str> {
     Ok(kind)
 }
 
-/// Writes the `path` of a greedy episode of the run in `dir`, into the file `out`.
+/// A greedy episode that is to be drawn.
+#[derive(Clone, Copy)]
+pub(super) struct Episode<'a> {
+    pub(super) weights: &'a [f32],
+    /// Number of the evaluation that it is the first one of.
+    pub(super) evaluation: u64,
+    /// Seed of the evaluation.
+    pub(super) seed: u64,
+    /// Its states, one after the other.
+    pub(super) path: &'a [f32],
+}
+
+/// Writes an `episode` of the run in `dir` into the file `out`: its path on the map, or where there is none what the environment
+/// itself draws.
 ///
 /// # Errors
-/// The environment has no map, or the file cannot be written.
+/// The environment has neither a map nor pictures, or the file cannot be written.
 pub(super) fn write(
     dir: &RunDir,
     experiment: &Experiment,
-    path: &[f32],
+    episode: Episode<'_>,
     out: &Path,
     kind: &str,
 ) -> Result<()> {
     let config = &experiment.config;
-    let Some(ground) = registry().ground(&config.env)? else {
-        bail!(
-            "--picture: {} has no map to draw; accepted: runs of environments with a map",
-            experiment.spec.name
-        );
-    };
+    let path = episode.path;
+    let Some(ground) = registry().ground(&config.env)? else { return film(experiment, episode, out, kind) };
     let ground = ground.as_ref();
     ensure!(!path.is_empty(), "--picture: the episode is too long to be drawn");
     let size = ground.size();
@@ -59,8 +70,10 @@ pub(super) fn write(
         walls: squares(size).map(|cell| !ground.is_free(cell)).collect(),
         ends: ground.ends(),
         // A run that has lost its checkpoints still has a path.
-        mentor: found_out(dir, experiment)
-            .map_or_else(|_| Vec::new(), |(agent, states)| mentor_steps(&agent, &states, ground)),
+        mentor: found_out(dir, experiment).map_or_else(
+            |_| led_steps(experiment, ground),
+            |(agent, states)| mentor_steps(&agent, &states, ground),
+        ),
         path: ground.places(path),
         fine: ground.squares(),
         visits: Vec::new(),
@@ -71,7 +84,36 @@ pub(super) fn write(
         "png" => png(&maze.paths_svg(View::Paper)?)?,
         _ => maze.paths_svg(View::Paper)?.into_bytes(),
     };
+    put(out, &bytes)
+}
+
+fn put(out: &Path, bytes: &[u8]) -> Result<()> {
     fs::write(out, bytes).with_context(|| format!("cannot write {}", out.display()))
+}
+
+/// Plays `episode` again in an environment that draws itself, and writes what it looked like.
+fn film(experiment: &Experiment, episode: Episode<'_>, out: &Path, kind: &str) -> Result<()> {
+    let none = || {
+        let name = &experiment.spec.name;
+        format!(
+            "--picture: {name} has neither a map nor pictures; accepted: environments with a map, or with render_mode rgb_array"
+        )
+    };
+    let mut filmed = experiment.clone();
+    filmed.config.run.seed = episode.seed;
+    filmed.config.env = registry().filmed(&experiment.config.env)?.with_context(none)?;
+    let mut footage = Footage::default();
+    let mut see = |frame: Frame| footage.push(frame.width, frame.height, frame.rgb);
+    let shown = Worker::new(&filmed, 0)
+        .and_then(|mut worker| worker.film(episode.weights, episode.evaluation, &mut see))
+        .context("--picture: the environment was made with render_mode rgb_array")?;
+    ensure!(shown, none());
+    let bytes = match kind {
+        "gif" => footage.gif()?,
+        "png" => footage.png()?,
+        _ => footage.svg()?.into_bytes(),
+    };
+    put(out, &bytes)
 }
 
 /// What the run's newest checkpoint knows of the mentor's transitions, and these.

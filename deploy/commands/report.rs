@@ -9,6 +9,7 @@ use trestle_algorithm::agent::Agent;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_mentor_server::demo_file;
+use trestle_proto::NONE;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rundir::RunDir;
@@ -117,7 +118,10 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     };
     let agent = checkpoint::load(&path, &experiment, demonstration.clone())?.agent;
     let size = ground.size();
-    let mentor = demonstration.as_ref().map_or_else(Vec::new, |states| mentor_steps(&agent, states, ground));
+    let mentor = match &demonstration {
+        Some(states) => mentor_steps(&agent, states, ground),
+        None => led_steps(&experiment, ground),
+    };
     let replay = agent.replay();
     let fine = ground.squares();
     let [columns, rows] = size.map(|side| side * fine);
@@ -160,6 +164,14 @@ pub(super) fn mentor_steps(
         steps.extend(from.first().zip(to.first()).map(|(&from, &to)| (from, to, step)));
     }
     steps
+}
+
+/// The mentor's steps on the map where its path is only led along; none without a mentor.
+pub(super) fn led_steps(experiment: &Experiment, ground: &dyn Ground) -> Vec<(Place, Place, Step)> {
+    let Some(waypoints) = &experiment.waypoints else { return Vec::new() };
+    let places = ground.places(&waypoints.states);
+    let steps = waypoints.transition_of.iter().zip(places.windows(2)).filter(|(of, _)| **of != NONE);
+    steps.map(|(_, pair)| (pair[0], pair[1], Step::Led)).collect()
 }
 
 /// All squares of a map, row by row.

@@ -4,7 +4,7 @@
 //! Steps are counted over the life of a process and are no part of a snapshot. So a process that is started in the place of
 //! one that has failed gets as far as that one, and, where a checkpoint was taken on the way, past it.
 
-use super::{EnvError, Environment, Impossible, Step};
+use super::{EnvError, Environment, Frame, Impossible, Step};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
@@ -97,6 +97,10 @@ impl Environment for Hazardous {
 
     fn repeats(&self) -> bool {
         self.env.repeats()
+    }
+
+    fn frame(&mut self) -> Result<Option<Frame>, EnvError> {
+        self.env.frame()
     }
 
     fn can_be_in(&self, state: &[f32]) -> Result<(), Impossible> {

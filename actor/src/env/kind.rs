@@ -123,6 +123,11 @@ pub trait Kind: Environment + Sized + 'static {
         Ok(None)
     }
 
+    /// The settings of the same environment made so that it has pictures ([`Environment::frame`]); none where it never has any.
+    fn filmed(settings: &Self::Settings) -> Option<Self::Settings> {
+        None
+    }
+
     /// What computes it, for a run's `build.json`; none where that is Trestle itself.
     fn engine(settings: &Self::Settings) -> Option<Table> {
         None

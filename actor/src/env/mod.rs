@@ -45,6 +45,17 @@ pub struct Step {
     pub success: bool,
 }
 
+/// A picture of an environment: rows of pixels from the top left, three bytes each, red, green and blue.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Frame {
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[height * width * 3]`
+    pub rgb: Vec<u8>,
+}
+
 /// An environment with discrete actions and a fixed number of `f32` features.
 pub trait Environment: Send {
     /// Spaces, names and the best possible return. Does not change during the environment's life.
@@ -88,6 +99,14 @@ pub trait Environment: Send {
     /// would be restored, and its runs do not repeat.
     fn repeats(&self) -> bool {
         true
+    }
+
+    /// What it looks like now; none where it has no pictures, or was not made for them by [`Kind::filmed`].
+    ///
+    /// # Errors
+    /// What only the environment itself knows.
+    fn frame(&mut self) -> Result<Option<Frame>, EnvError> {
+        Ok(None)
     }
 
     /// Whether the environment can ever be in the state that is observed as `state` (`[obs_dim]`): what a demonstration of

@@ -156,6 +156,15 @@ impl Registry {
         self.of(env)?.engine(env)
     }
 
+    /// The same environment made so that it has pictures: see [`Kind::filmed`].
+    ///
+    /// # Errors
+    /// Settings that are not accepted.
+    pub fn filmed(&self, env: &config::Env) -> Result<Option<config::Env>, EnvError> {
+        let own = self.of(env)?.filmed(env)?;
+        Ok(own.map(|own| config::Env { own, ..env.clone() }))
+    }
+
     /// How the processes that step it are started, where it is other people's code: see [`Kind::foreign`].
     pub fn foreign(&self, env: &config::Env) -> Option<Foreign> {
         self.of(env).ok()?.foreign(env)
@@ -235,6 +244,7 @@ trait AnyKind: Send + Sync {
     fn draw(&self, env: &config::Env, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError>;
     fn ground(&self, env: &config::Env) -> Result<Option<Box<dyn Ground>>, EnvError>;
     fn engine(&self, env: &config::Env) -> Result<Option<Table>, EnvError>;
+    fn filmed(&self, env: &config::Env) -> Result<Option<Table>, EnvError>;
     fn diagnose(&self) -> Vec<Finding>;
     fn shorthand(&self, text: &str) -> Option<Table>;
     fn foreign(&self, env: &config::Env) -> Option<Foreign>;
@@ -322,6 +332,10 @@ impl<K: Kind> AnyKind for Typed<K> {
 
     fn engine(&self, env: &config::Env) -> Result<Option<Table>, EnvError> {
         Ok(K::engine(&typed(&env.own)?))
+    }
+
+    fn filmed(&self, env: &config::Env) -> Result<Option<Table>, EnvError> {
+        Ok(K::filmed(&typed(&env.own)?).map(|settings| written(&settings)).transpose()?)
     }
 
     fn diagnose(&self) -> Vec<Finding> {

@@ -5,6 +5,7 @@ use crate::flat::{Space, wrong};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use trestle_actor::env::Frame;
 use trestle_actor::env::gym::{Found, GymError, Host, Outcome, Settings, Simulator};
 
 /// Makes environments in the Python of this process.
@@ -25,6 +26,8 @@ struct Env {
     reset: Py<PyAny>,
     step: Py<PyAny>,
     close: Py<PyAny>,
+    /// The environment, for pictures of it.
+    env: Py<PyAny>,
     actions: Vec<Py<PyAny>>,
     /// Whether an action is an array, which the environment could change: it gets a copy.
     arrays: bool,
@@ -56,6 +59,7 @@ fn make(settings: &Settings, found: &Found) -> Result<Box<dyn Simulator>, GymErr
             reset: method(intern!(py, "reset"))?,
             step: method(intern!(py, "step"))?,
             close: method(intern!(py, "close"))?,
+            env: env.unbind(),
             actions,
             arrays: !found.actions.shape.is_empty(),
         })
@@ -132,6 +136,17 @@ impl Simulator for Env {
         let outcome = stepped.map_err(|error| raised(&self.name, "step", &error))?;
         self.pick(obs);
         Ok(outcome)
+    }
+
+    fn frame(&mut self) -> Result<Option<Frame>, GymError> {
+        let seen = Python::attach(|py| -> PyResult<Option<Frame>> {
+            let module = py.import(intern!(py, "trestle._gym"))?;
+            let seen = module.call_method1(intern!(py, "frame"), (&self.env,))?;
+            let seen: Option<(usize, usize, Vec<u8>)> = seen.extract()?;
+            Ok(seen.map(|(width, height, rgb)| Frame { width, height, rgb }))
+        });
+        end_if_forked();
+        seen.map_err(|error| raised(&self.name, "drawing it", &error))
     }
 }
 

@@ -42,6 +42,13 @@ def line(n: int = 5) -> Line:
     return Line(n)
 
 
+class Blind(Line):
+    """Takes a mode of rendering, and has none."""
+
+    def __init__(self, render_mode: str | None = None) -> None:
+        super().__init__()
+
+
 class Spaces(Line):
     """Observes and acts in spaces that are given by name."""
 

@@ -9,15 +9,17 @@ use std::collections::BTreeMap;
 /// Pictures of a film beside its last, at most; of a longer path every second, third, ... state is shown.
 const MAX_FRAMES: usize = 160;
 /// How long a picture is shown, and the last one, hundredths of a second.
-const DELAY: u16 = 6;
-const LAST_DELAY: u16 = 200;
+pub(crate) const DELAY: u16 = 6;
+pub(crate) const LAST_DELAY: u16 = 200;
 /// Colours of a film.
-const COLORS: usize = 256;
+pub(crate) const COLORS: usize = 256;
+/// Colours that are told apart before similar ones become one.
+const MANY_COLORS: usize = 4096;
 /// Radius of the dot and width of the line, pixels.
 const DOT: f32 = 6.0;
 const LINE: f32 = 2.5;
 
-type Rgb = [u8; 3];
+pub(crate) type Rgb = [u8; 3];
 
 /// The film of `maze` as the bytes of a GIF.
 ///
@@ -42,7 +44,7 @@ pub fn gif(maze: &Maze) -> Result<Vec<u8>, PlotError> {
     let mut whole = trail.clone();
     points.windows(2).for_each(|pair| line(&mut whole, pair[0], pair[1]));
     points.iter().for_each(|&point| dot(&mut whole, point));
-    let mut palette = Palette::of(&whole);
+    let mut palette = Palette::new(colors(&whole), COLORS);
     let mut bytes = Vec::new();
     let fault = |error: gif::EncodingError| PlotError::Raster(error.to_string());
     let mut encoder = Encoder::new(&mut bytes, width, height, &palette.bytes()).map_err(fault)?;
@@ -103,7 +105,7 @@ fn dot(picture: &mut Pixmap, (x, y): (f32, f32)) {
 }
 
 /// The smallest rectangle in which `indices` differ from what is `shown`, as a frame.
-fn changed(shown: Option<&[u8]>, indices: &[u8], width: u16, height: u16) -> Frame<'static> {
+pub(crate) fn changed(shown: Option<&[u8]>, indices: &[u8], width: u16, height: u16) -> Frame<'static> {
     let columns = usize::from(width);
     let (mut low, mut high) = ([columns, usize::from(height)], [0, 0]);
     for (at, index) in indices.iter().enumerate() {
@@ -132,22 +134,23 @@ fn changed(shown: Option<&[u8]>, indices: &[u8], width: u16, height: u16) -> Fra
 }
 
 /// The colours of a film: the most frequent ones. Others, on the edges of letters and lines, become the nearest of them.
-struct Palette {
+pub(crate) struct Palette {
     colors: Vec<Rgb>,
     known: BTreeMap<Rgb, u8>,
 }
 
 impl Palette {
-    fn of(picture: &Pixmap) -> Self {
+    /// The `most` most frequent of `colors`.
+    pub(crate) fn new(colors: impl Iterator<Item = Rgb>, most: usize) -> Self {
         let mut counts: BTreeMap<Rgb, usize> = BTreeMap::new();
-        colors(picture).for_each(|color| *counts.entry(color).or_default() += 1);
+        colors.for_each(|color| *counts.entry(coarse(color, counts.len())).or_default() += 1);
         let mut colors: Vec<(Rgb, usize)> = counts.into_iter().collect();
         colors.sort_by_key(|&(color, count)| (std::cmp::Reverse(count), color));
-        let colors = colors.into_iter().take(COLORS).map(|(color, _)| color).collect();
+        let colors = colors.into_iter().take(most).map(|(color, _)| color).collect();
         Self { colors, known: BTreeMap::new() }
     }
 
-    fn bytes(&self) -> Vec<u8> {
+    pub(crate) fn bytes(&self) -> Vec<u8> {
         self.colors.concat()
     }
 
@@ -155,8 +158,10 @@ impl Palette {
         colors(picture).map(|color| self.index(color)).collect()
     }
 
-    fn index(&mut self, color: Rgb) -> u8 {
+    /// Number of the colour nearest to `color`.
+    pub(crate) fn index(&mut self, color: Rgb) -> u8 {
         let Self { colors, known } = self;
+        let color = coarse(color, known.len());
         *known.entry(color).or_insert_with(|| {
             let far = |other: &Rgb| -> i32 {
                 color.iter().zip(other).map(|(a, b)| (i32::from(*a) - i32::from(*b)).pow(2)).sum()
@@ -165,6 +170,11 @@ impl Palette {
             nearest.map_or(0, |(at, _)| at as u8)
         })
     }
+}
+
+/// `color`, or where `known` colours are a great many already, as in photographs, one like it: there are 32,768 of these.
+fn coarse(color: Rgb, known: usize) -> Rgb {
+    if known < MANY_COLORS { color } else { color.map(|part| part & 0xf8 | part >> 5) }
 }
 
 /// The colours of a picture without transparency, row by row.

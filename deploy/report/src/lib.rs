@@ -7,6 +7,7 @@
 //! - [`effect`]: how much of a mentor reached the training;
 //! - [`curves`]: many runs' records on one axis;
 //! - [`plot`]: pictures, as SVG and PNG; [`maze`]: pictures of a maze; [`film`]: an episode in it, in motion;
+//!   [`footage`]: one of an environment that draws itself;
 //! - [`mod@write`]: everything into a directory, with the page that shows it.
 //!
 //! Nothing here knows networks or environments: the caller hands in the data for pictures of a maze.
@@ -14,6 +15,7 @@
 pub mod curves;
 pub mod effect;
 pub mod film;
+pub mod footage;
 pub mod maze;
 pub mod over_tasks;
 mod page;

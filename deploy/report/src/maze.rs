@@ -15,14 +15,17 @@ pub enum Step {
     Bridged,
     /// None does, and no bridge is known.
     Infeasible,
+    /// It is only led along, as with learned bridges.
+    Led,
 }
 
 impl Step {
     /// All of them, with their colours and names.
-    const ALL: [(Self, RGBColor, &'static str); 3] = [
+    const ALL: [(Self, RGBColor, &'static str); 4] = [
         (Self::Feasible, RGBColor(0x00, 0x72, 0xb2), "mentor's step, feasible"),
         (Self::Bridged, RGBColor(0xe6, 0x9f, 0x00), "mentor's step, bridged"),
         (Self::Infeasible, RGBColor(0xcc, 0x79, 0xa7), "mentor's step, infeasible"),
+        (Self::Led, RGBColor(0x00, 0x72, 0xb2), "mentor's path"),
     ];
 
     fn color(self) -> RGBColor {
@@ -106,17 +109,25 @@ fn shade(share: f64) -> RGBColor {
 }
 
 impl Maze {
+    /// What the picture of paths shows.
+    pub(crate) fn paths_note(&self) -> &'static str {
+        if self.mentor.is_empty() { "the learnt path" } else { "the mentor's path and the learnt one" }
+    }
+
     /// The map with the mentor's steps and the learnt path.
     ///
     /// # Errors
     /// Those of the drawing library.
     pub fn paths_svg(&self, view: View) -> Result<String, PlotError> {
-        self.svg(view, "the mentor's path and the learnt one", |picture| {
+        self.svg(view, self.paths_note(), |picture| {
             picture.walls(INK)?;
             picture.mentor()?;
             picture.learnt()?;
             picture.ends()?;
-            let entries: Vec<_> = Step::ALL.iter().map(|(_, color, name)| (*color, *name)).collect();
+            // A path that is led along has no findings.
+            let led = self.mentor.iter().any(|(.., step)| *step == Step::Led);
+            let known = Step::ALL.iter().filter(|(step, ..)| (*step == Step::Led) == led);
+            let entries: Vec<_> = known.map(|(_, color, name)| (*color, *name)).collect();
             picture.legend(&entries)
         })
     }

@@ -552,7 +552,7 @@ impl Drawing<'_> {
     fn mazes(&self, output: &mut Output<'_>, mazes: &[(String, String, Maze)]) -> Result<(), WriteError> {
         for (_, arm, maze) in mazes.iter().filter(|(task, ..)| task == self.task.name) {
             let name = |what: &str| self.name(&format!("maze-{}-{what}", slug(arm)));
-            let paths = [&maze.title[..], "the mentor's path and the learnt one"];
+            let paths = [&maze.title[..], maze.paths_note()];
             output.picture(&name("paths"), paths, |view| maze.paths_svg(view))?;
             // What is not known for one view is not known for the other.
             let heats: [(&str, &str, Heat); 2] = [

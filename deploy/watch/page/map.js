@@ -57,7 +57,7 @@ export class BridgeMap {
     this.chosen = null;
     this.picked = null;
     this.layer = "visits";
-    this.shown = { actions: true, bridges: true, path: true };
+    this.shown = { actions: true, bridges: true, path: true, visits: true };
     this.axes = [0, 1];
     this.build();
   }
@@ -78,7 +78,8 @@ export class BridgeMap {
       }),
       check("Greedy actions", true, (on) => this.toggle("actions", on)),
       check("Bridges", true, (on) => this.toggle("bridges", on)),
-      check("Last evaluation", true, (on) => this.toggle("path", on)));
+      check("Last evaluation", true, (on) => this.toggle("path", on)),
+      check("Visits", true, (on) => this.toggle("visits", on)));
     this.stepText = h("p", { class: "soft small" });
     this.stepFacts = h("dl", {});
     this.stepNow = h("b", {});
@@ -158,7 +159,7 @@ export class BridgeMap {
     const views = [];
     if (map) views.push(["map", "Map"]);
     else if (this.dims > 1) views.push(["features", "Features"]);
-    if (this.from.length && !mentor.led) views.push(["time", "Mentor's time line"]);
+    if (this.from.length) views.push(["time", "Mentor's time line"]);
     this.view = views[0]?.[0];
     const controls = [];
     if (views.length > 1) controls.push(choice("View", views, this.view, (view) => { this.view = view; this.draw(); this.arrange(); }));
@@ -187,6 +188,7 @@ export class BridgeMap {
     show(this.layers.children[1], onMap && this.head.squares);
     show(this.layers.children[2], this.from.length > 0 && !this.head.mentor.led);
     show(this.layers.children[3], this.view !== "time");
+    show(this.layers.children[4], !onMap);
     if (this.selects) this.selects.forEach((select) => show(select, this.view === "features"));
   }
 
@@ -404,7 +406,8 @@ export class BridgeMap {
 
   drawFeatures() {
     const [a, b] = this.axes;
-    const states = [...this.from, ...this.to, ...this.points(this.now.path)];
+    const visits = this.shown.visits ? this.points(this.now.states) : [];
+    const states = [...this.from, ...this.to, ...this.points(this.now.path), ...visits];
     const bounds = [a, b].map((axis) => {
       const values = states.map((state) => state[axis]).filter(Number.isFinite);
       const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -421,26 +424,54 @@ export class BridgeMap {
       h("path", { class: "axis", d: `M${margin} ${margin}V${height - margin}H${width - margin}` }),
       text(margin, height - 3, "start", number(bounds[0][0])), text(width - margin, height - 3, "end", number(bounds[0][1])),
       text(width / 2, height - 3, "middle", `feature ${a}`), text(1.5, margin - 2, "start", `feature ${b}: ${number(bounds[1][0])} to ${number(bounds[1][1])}`),
+      ...this.cloud(visits.map(to)),
       ...this.scene(to, 0.9, 6),
     ];
-    say(this.scale, "");
+    say(this.scale, visits.length ? `Visits: every ${count(this.head.states_every)}th of the agent's newest states, older ones fainter` : "");
     this.put(`0 0 ${width} ${height}`, parts, null, width / height);
   }
 
-  // Along the mentor's steps: e_KL upwards, logarithmic, with the bridges as arcs below.
+  // States as dots, the newest last, in four groups by their age.
+  cloud(places) {
+    const size = Math.ceil(places.length / 4);
+    return [0, 1, 2, 3].map((group) => {
+      const dots = places.slice(group * size, (group + 1) * size).map(([x, y]) => `M${near(x)} ${near(y)}h0`);
+      return dots.length ? h("path", { class: "visit", d: dots.join(""), opacity: 0.25 + 0.2 * group }) : null;
+    });
+  }
+
+  // How often each of the mentor's steps was met since a quarter of the moments ago.
+  met() {
+    const before = this.moments[Math.max(0, Math.floor(0.75 * this.at))] ?? {};
+    const [now, then] = [this.now, before === this.now ? {} : before].map((moment) => array(moment.visited).map(Number));
+    const met = this.from.map((_, step) => Math.max(0, (now[step] || 0) - (then[step] || 0)));
+    return { met, most: Math.max(...met, 0), since: before === this.now ? 0 : Number(before.env_steps) || 0 };
+  }
+
+  // Along the mentor's steps, with visits behind them and bridges below: e_KL upwards, logarithmic, or where the path is only led along
+  // the probability of the likeliest action.
   drawTime() {
     const [width, height, margin, floor] = [100, 56, 8, 38];
-    const errors = this.from.map((_, step) => array(this.now.e_kl)[step]).map((x) => (x === null || x === undefined ? NaN : Math.max(Number(x), 1e-6)));
-    const known = errors.filter(Number.isFinite);
-    const [low, high] = [Math.floor(Math.log10(Math.min(...known, 1))), Math.ceil(Math.log10(Math.max(...known, 1)) + 0.01)];
+    const led = !!this.head.mentor.led;
+    const known = (list) => this.from.map((_, step) => array(list)[step]).map((x) => (x === null || x === undefined ? NaN : Number(x)));
+    const errors = led ? known(this.now.sure) : known(this.now.e_kl).map((x) => Math.max(x, 1e-6));
+    const finite = errors.filter(Number.isFinite);
+    const [low, high] = led ? [0, 1] : [Math.floor(Math.log10(Math.min(...finite, 1))), Math.ceil(Math.log10(Math.max(...finite, 1)) + 0.01)];
     const x = (step) => margin + ((step + 0.5) / this.from.length) * (width - 2 * margin);
-    const y = (error) => (Number.isFinite(error) ? floor - ((Math.log10(error) - low) / (high - low || 1)) * (floor - 5) : 3);
+    const scaled = (value) => floor - (((led ? value : Math.log10(value)) - low) / (high - low || 1)) * (floor - 5);
+    const y = (value) => (Number.isFinite(value) ? scaled(value) : led ? floor : 3);
     const parts = [h("path", { class: "axis", d: `M${margin} 3V${floor}H${width - margin}` })];
-    for (let power = low; power <= high; power += Math.max(1, Math.ceil((high - low) / 4))) {
-      parts.push(h("text", { class: "tick", x: margin - 1, y: y(10 ** power) + 0.8, "font-size": 2.4, "text-anchor": "end" }, power === 0 ? "1" : `1e${power}`));
+    const { met, most, since } = this.met();
+    if (this.shown.visits && most > 0) {
+      const half = (0.5 * (width - 2 * margin)) / this.from.length;
+      const bars = met.map((visits, step) => `M${near(x(step) - half)} ${floor}v${near(-(floor - 5) * Math.sqrt(visits / most))}h${near(2 * half)}V${floor}Z`);
+      parts.push(h("path", { class: "bars", d: bars.join("") }));
     }
-    parts.push(h("text", { class: "tick", x: margin + 1, y: 2.6, "font-size": 2.4 }, "e_KL"),
-      h("text", { class: "tick", x: width / 2, y: height - 1, "font-size": 2.4, "text-anchor": "middle" }, "the mentor's steps; below, bridges by where they lead"));
+    const tick = (value, words) => parts.push(h("text", { class: "tick", x: margin - 1, y: near(y(value) + 0.8), "font-size": 2.4, "text-anchor": "end" }, words));
+    if (led) [0, 0.5, 1].forEach((value) => tick(value, percent(value)));
+    else for (let power = low; power <= high; power += Math.max(1, Math.ceil((high - low) / 4))) tick(10 ** power, power === 0 ? "1" : `1e${power}`);
+    parts.push(h("text", { class: "tick", x: margin + 1, y: 2.6, "font-size": 2.4 }, led ? "probability of the likeliest action" : "e_KL"),
+      h("text", { class: "tick", x: width / 2, y: height - 1, "font-size": 2.4, "text-anchor": "middle" }, led ? "the mentor's steps" : "the mentor's steps; below, bridges by where they lead"));
     this.places = errors.map((error, step) => [near(x(step)), near(y(error))]);
     const r = Math.min(0.9, (0.35 * (width - 2 * margin)) / this.from.length);
     this.from.forEach((_, step) => {
@@ -458,7 +489,7 @@ export class BridgeMap {
     }
     const place = this.places[this.picked];
     if (place) parts.push(h("circle", { class: "pick", cx: place[0], cy: place[1], r: 1.8 }));
-    say(this.scale, "");
+    say(this.scale, this.shown.visits && most > 0 ? `Visits: bars, ${led ? "the agent's steps near each step" : "transitions that each step was picked for"} since step ${count(since)}, ${count(most)} at most` : "");
     this.put(`0 0 ${width} ${height}`, parts, null, width / height);
   }
 

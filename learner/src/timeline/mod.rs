@@ -11,6 +11,7 @@
 
 mod moment;
 mod squares;
+mod visits;
 mod way;
 
 use crate::record::RecordError;
@@ -27,6 +28,7 @@ use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::own_file;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
+use visits::Visits;
 use way::{Way, steps};
 
 /// Moments that are kept, at most.
@@ -44,6 +46,8 @@ pub(crate) struct Timeline {
     path: PathBuf,
     head: Head,
     squares: Option<Squares>,
+    /// Where there is no map.
+    visits: Option<Visits>,
     findings: Findings,
     /// With learned bridges.
     way: Option<Way>,
@@ -110,11 +114,13 @@ impl Timeline {
             }
         };
         let squares = map.as_ref().and_then(|map| Squares::new(map, experiment));
+        let visits = map.is_none().then(Visits::default);
         Self {
             path: dir.timeline(),
             findings: Findings::new(mentor.map_or(0, MentorTransitions::len)),
             head: Head::new(experiment, map, squares.as_ref(), mentor),
             squares,
+            visits,
             way: if mentor.is_none() {
                 Way::new(experiment, stride(steps(experiment).count()))
             } else {
@@ -148,6 +154,9 @@ impl Timeline {
         }
         let squares = self.squares.as_mut().map(|squares| squares.look(agent));
         let mut moment = self.findings.moment(agent, wall_s, squares, &self.path_taken);
+        if let Some(visits) = &mut self.visits {
+            moment.states = visits.look(agent, &self.head);
+        }
         if let Some(way) = &mut self.way {
             way.tell(agent, &mut moment);
         }

@@ -1,6 +1,7 @@
 //! The lines of the timeline.
 
 use super::squares::{HALF_LIFE, Looks, SHADES, Squares};
+use super::visits::EVERY;
 use super::way::steps;
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::{Agent, MentorRow};
@@ -31,6 +32,8 @@ pub(super) struct Head {
     squares: Option<usize>,
     shades: f64,
     visits_half_life: f64,
+    /// Environment steps from one state to the next where moments tell of states; none on a map.
+    states_every: Option<u64>,
     /// Names of the actions.
     actions: Vec<String>,
     /// The mentor's transitions.
@@ -69,10 +72,12 @@ impl Head {
             squares: squares.map(|squares| squares.fine),
             shades: SHADES,
             visits_half_life: HALF_LIFE,
+            states_every: None,
             actions: experiment.spec.actions.clone(),
             mentor: Mentor::default(),
         };
         let count = mentor.map_or_else(|| steps(experiment).count(), MentorTransitions::len);
+        head.states_every = head.map.is_none().then_some(EVERY);
         let stride = stride(count);
         let mut told = Mentor { transitions: count, stride, led: mentor.is_none(), ..Mentor::default() };
         told.demos = experiment.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect();
@@ -102,7 +107,7 @@ impl Head {
     }
 
     /// Where `state` is drawn.
-    fn point(&self, state: &[f32]) -> Vec<f64> {
+    pub(super) fn point(&self, state: &[f32]) -> Vec<f64> {
         match &self.map {
             Some(map) => map.place(state).map(short).to_vec(),
             None => state[..self.dims].iter().map(|&x| short(f64::from(x))).collect(),
@@ -152,6 +157,9 @@ pub(super) struct Moment {
     found: Vec<u64>,
     /// The free squares of the map.
     squares: Option<Looks>,
+    /// Points of the agent's newest states, where there is no map.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) states: Vec<f64>,
     /// The path of the newest evaluation.
     path: Vec<f64>,
 }

@@ -96,6 +96,35 @@ fn a_moment_tells_of_each_transition_and_each_free_square() {
 }
 
 #[test]
+fn without_a_map_moments_tell_of_the_newest_states() {
+    let mut walk = walk();
+    std::fs::remove_file(walk.dir().map()).unwrap();
+    let mut timeline = walk.create();
+    walk.on(&mut timeline, 100);
+    let written = walk.written();
+    let (head, last) = (&written[0], &written[100]);
+    let every = head["states_every"].as_u64().unwrap();
+    // Of the newest, which the replay still holds.
+    let first = walk.agent.replay().first_index();
+    let expected: Vec<f64> = (first..400)
+        .filter(|index| index % every == 0)
+        .flat_map(|index| {
+            let replay = walk.agent.replay();
+            replay.get(replay.slot(index)).transition.obs.iter().map(|&x| (f64::from(x) * 1e4).round() / 1e4)
+        })
+        .collect();
+    let told: Vec<f64> = last["states"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+    assert_eq!(told.len() as u64, 2 * 400u64.div_ceil(every));
+    assert!(told.ends_with(&expected) && !expected.is_empty(), "{told:?} {expected:?}");
+    // One that goes on tells of the same.
+    let mentor = demonstration(&walk.experiment);
+    let mut resumed = Timeline::resume(&walk.experiment, &walk.dir(), mentor.as_ref(), walk.agent.counters());
+    resumed.evaluation(&[]);
+    resumed.add(&walk.agent, 1.0);
+    assert_eq!(walk.written().last().unwrap()["states"], serde_json::json!(expected));
+}
+
+#[test]
 fn however_long_a_run_is_its_moments_are_few_and_even() {
     let mut walk = walk();
     let mut timeline = walk.create();

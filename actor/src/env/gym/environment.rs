@@ -5,7 +5,7 @@
 
 use super::host::{Simulator, host};
 use super::{Found, GymError, Settings};
-use crate::env::{EnvError, Environment, Impossible, Step};
+use crate::env::{EnvError, Environment, Frame, Impossible, Step};
 use rand::RngCore;
 use serde::{Deserialize, Serialize};
 use trestle_link::pulse;
@@ -149,6 +149,13 @@ impl Environment for Gym {
 
     fn repeats(&self) -> bool {
         !self.settings.nondeterministic
+    }
+
+    fn frame(&mut self) -> Result<Option<Frame>, EnvError> {
+        match &mut self.simulator {
+            Some(simulator) => Ok(simulator.frame()?),
+            None => Ok(None),
+        }
     }
 
     /// Bounds are those of the space: the ranges of the spaces scale the network's input, and nothing more.

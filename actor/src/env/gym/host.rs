@@ -1,6 +1,7 @@
 //! Who steps an environment: the Python of this process. A program without Python has none.
 
 use super::{Found, GymError, Settings};
+use crate::env::Frame;
 use std::sync::OnceLock;
 
 /// What a step gives, besides the observation.
@@ -27,6 +28,14 @@ pub trait Simulator: Send {
     /// # Errors
     /// As [`Simulator::reset`].
     fn step(&mut self, action: usize, obs: &mut [f32]) -> Result<Outcome, GymError>;
+
+    /// What it looks like now; none where it is not made for pictures.
+    ///
+    /// # Errors
+    /// As [`Simulator::reset`].
+    fn frame(&mut self) -> Result<Option<Frame>, GymError> {
+        Ok(None)
+    }
 }
 
 /// An environment, or why there is none.

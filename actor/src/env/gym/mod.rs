@@ -121,6 +121,12 @@ impl Kind for Gym {
         })
     }
 
+    fn filmed(settings: &Settings) -> Option<Settings> {
+        let mut filmed = settings.clone();
+        filmed.kwargs.0.insert("render_mode".into(), "rgb_array".into());
+        Some(filmed)
+    }
+
     fn ready(settings: &Settings) -> Result<(), EnvError> {
         // What was found is of the build that found it, which may be gone.
         match &settings.python {

@@ -24,6 +24,8 @@ Settings = dict[str, Any]
 _COMPARED = 200
 #: Bounds beyond this are as good as none.
 _WIDE = 1e6
+#: Longer side of a picture, pixels, at most.
+_MAX_SIDE = 640
 #: Inputs of a network, at most.
 _MAX_INPUTS = 4096
 
@@ -297,6 +299,22 @@ def make_found(settings_json: str, found_json: str) -> tuple[gymnasium.Env[Any, 
     if layout != found["space"]:
         raise Refused(f"the observation space is {_shown(env.observation_space)}, but the run has found another one before")
     return env, _values(found["actions"])
+
+
+def frame(env: gymnasium.Env[Any, Any]) -> tuple[int, int, bytes] | None:
+    """Width, height and pixels of what ``env`` looks like now, smaller where it is large; None where it does not render so."""
+    if getattr(env, "render_mode", None) != "rgb_array":
+        return None
+    picture = np.asarray(env.render())
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
+        raise Refused(f"render returned {picture.dtype} of the shape {picture.shape}; accepted: uint8 of (height, width, 3)")
+    picture = picture[:, :, :3]
+    shrink = -(-max(picture.shape[:2]) // _MAX_SIDE)
+    if shrink > 1:
+        height, width = (side // shrink for side in picture.shape[:2])
+        blocks = picture[: height * shrink, : width * shrink].reshape(height, shrink, width, shrink, 3)
+        picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+    return picture.shape[1], picture.shape[0], picture.tobytes()
 
 
 def _episode(
