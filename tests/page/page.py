@@ -117,6 +117,24 @@ def hostile(folder, like):
         metrics.write("x" * 200_000 + f"\n{EVIL}\n")
 
 
+def crowd(folder, like, runs=100_000):
+    """A folder of ever so many copies of the run `like`, most of which have no more than their settings and a torn result."""
+    settings, result = folder / "settings", folder / "result"
+    folder.mkdir()
+    for number in range(runs):
+        arm = folder / f"arm-{number // 1000}"
+        if number % 1000 == 0:
+            # File systems limit how many names a file can have.
+            arm.mkdir()
+            settings, result = arm / "config.toml", arm / "torn"
+            settings.write_bytes((like / "config.toml").read_bytes())
+            result.write_text('{"algo": "dq')
+        run = arm / f"seed-{number}"
+        run.mkdir()
+        (run / "config.toml").hardlink_to(settings)
+        (run / "result.json").hardlink_to(result)
+
+
 def use(page, name):
     """What hands and keys do on the page of a run."""
     slider = page.get_by_role("slider", name="Moment of the run")
@@ -206,6 +224,12 @@ def main():
                 expect(visitor.page.locator(".facts")).not_to_have_text(steps, timeout=LIMIT_MS)
                 visitor.context.close()
         visitor = Visitor(browser, "desktop", "light", shots)
+        many = place / "many"
+        crowd(many, done)
+        many_url = stack.enter_context(watching(program, many))
+        visitor.visit("many", many_url, "tbody a")
+        expect(visitor.page.locator(".card tbody a")).to_have_count(1000)
+        expect(visitor.page.get_by_text("10,000")).not_to_have_count(0)
         visitor.visit("going", goes_url, map_of)
         shutil.rmtree(goes)
         expect(visitor.page.get_by_role("alert").filter(has_text="is gone")).to_be_visible(timeout=LIMIT_MS)
