@@ -228,9 +228,9 @@ pub(crate) struct Sweep {
     /// Override one setting by its dotted key; may be repeated, the last one wins
     #[arg(long = "set", value_name = "KEY=VALUE", requires = "config")]
     pub(crate) sets: Vec<String>,
-    /// Algorithms, each an arm of its own; with no --arm either: that of the configuration
-    #[arg(long, value_name = "ALGO,...", value_delimiter = ',', value_parser = word::<Algo>(), requires = "config")]
-    pub(crate) algos: Vec<Algo>,
+    /// Algorithms, and rivals such as dqn+gaifo, each an arm of its own; with no --arm either: that of the configuration
+    #[arg(long, value_name = "ALGO,...", value_delimiter = ',', value_parser = Arm::of_name, requires = "config")]
+    pub(crate) algos: Vec<Arm>,
     /// A further arm with settings of its own; may be repeated
     #[arg(long = "arm", value_name = "NAME:KEY=VALUE,...", requires = "config")]
     pub(crate) arms: Vec<Arm>,

@@ -28,6 +28,7 @@ mod point_maze;
 mod prolong;
 mod query;
 mod resume;
+mod rivals;
 mod room;
 mod schedule;
 mod shutdown;

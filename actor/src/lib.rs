@@ -3,10 +3,12 @@
 //! * [`mod@env`]: the trait that every environment fulfils, and the environments;
 //! * [`policy`]: from a flat parameter vector and an observation to an action;
 //! * [`worker`]: one actor without any transport: batches, greedy evaluations, snapshots;
+//! * [`rivals`]: what other people's ways to learn from a mentor change about an environment;
 //! * [`run`]: the loop of an actor's process.
 
 pub mod env;
 pub mod guide;
 pub mod policy;
+pub mod rivals;
 pub mod run;
 pub mod worker;

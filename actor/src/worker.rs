@@ -4,6 +4,7 @@ use crate::env::hazard::Hazards;
 use crate::env::{EnvError, Environment, Frame, registry};
 use crate::guide::{Guide, Progress};
 use crate::policy::Policy;
+use crate::rivals;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use trestle_algorithm::similarity::metric::MetricError;
@@ -225,7 +226,9 @@ impl Worker {
             return Err(ActorError::Index { index, last: run.actors.saturating_sub(1) });
         }
         let hazards = Hazards::new(hazard);
-        let mut env = hazards.around(registry().build(&experiment.config.env)?, HazardScope::Training);
+        let built =
+            |training| rivals::around(registry().build(&experiment.config.env)?, experiment, training);
+        let mut env = hazards.around(built(true)?, HazardScope::Training);
         if *env.spec() != experiment.spec {
             let (planned, built) = (experiment.spec.name.clone(), env.spec().name.clone());
             return Err(ActorError::Spec { planned, built });
@@ -253,8 +256,7 @@ impl Worker {
             guides: true,
             lengths: experiment.acting(),
             env,
-            evaluation_env: hazards
-                .around(registry().build(&experiment.config.env)?, HazardScope::Evaluation),
+            evaluation_env: hazards.around(built(false)?, HazardScope::Evaluation),
             success: experiment.success(),
             explore,
             environment,

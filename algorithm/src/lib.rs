@@ -9,9 +9,10 @@
 //! 5. [`bridge`]: other ways from a mentor state back onto the mentor's path;
 //! 6. [`mentor`]: these together, one batch of transitions after the other;
 //! 7. [`losses`]: the observer's loss and the mentor's; [`selection`]: the rules that weigh one against the other;
-//! 8. [`replay`] and [`shaping`]: what a gradient step draws from;
+//! 8. [`replay`]: what a gradient step draws from;
 //! 9. [`agent`]: the gradient step and all that it changes;
-//! 10. [`learned_bridges`] (ours): a policy that leads back onto the mentor's path, learnt to explore.
+//! 10. [`learned_bridges`] (ours): a policy that leads back onto the mentor's path, learnt to explore;
+//! 11. [`rivals`]: other people's ways to learn from a mentor's states, to compare with.
 
 pub mod agent;
 pub mod bridge;
@@ -22,8 +23,8 @@ pub mod learned_bridges;
 pub mod losses;
 pub mod mentor;
 pub mod replay;
+pub mod rivals;
 pub mod selection;
-pub mod shaping;
 pub mod similarity;
 pub mod states;
 pub mod summary;

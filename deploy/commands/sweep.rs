@@ -152,8 +152,7 @@ fn on_suite(args: &Args) -> Result<(String, Vec<Arm>, Suite)> {
         .task_set
         .as_ref()
         .context("--task-set is not given; accepted: choosing, reporting, or a file")?;
-    let arms: Vec<Arm> =
-        args.algos.iter().copied().map(Arm::plain).chain(args.arms.iter().cloned()).collect();
+    let arms: Vec<Arm> = args.algos.iter().chain(&args.arms).cloned().collect();
     ensure!(!arms.is_empty(), "{SUITE} without arms; accepted: --algos, such as dqn,ha-diiqn, or --arm");
     ensure!(args.over.is_empty(), "--over with {SUITE}; accepted: --arm, or a set of tasks of your own");
     let suite = Suite::load(name, &args.tasks)?;
@@ -163,8 +162,7 @@ fn on_suite(args: &Args) -> Result<(String, Vec<Arm>, Suite)> {
 
 /// The arms as typed: plain algorithms first; without any, the configuration as it is.
 fn arms(args: &Args, source: &str) -> Result<Vec<Arm>> {
-    let plain = args.algos.iter().copied().map(Arm::plain);
-    let mut arms: Vec<Arm> = plain.chain(args.arms.iter().cloned()).collect();
+    let mut arms: Vec<Arm> = args.algos.iter().chain(&args.arms).cloned().collect();
     if arms.is_empty() {
         let config = trestle_proto::config::load(registry(), source, &args.sets)?;
         arms.push(Arm::plain(config.run.algo));

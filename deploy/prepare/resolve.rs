@@ -5,14 +5,15 @@ use super::probes::Needs;
 use anyhow::{Context, Result, bail, ensure};
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
-use trestle_actor::env::{Environment, registry};
+use trestle_actor::env::{EnvError, Environment, registry};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::learned_bridges;
+use trestle_algorithm::rivals;
 use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise, unreachable};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, PLAN, Threshold};
+use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, PLAN, RivalKind, Threshold};
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::regular_file;
@@ -149,6 +150,9 @@ fn meet(mut config: Config) -> Result<Resolved> {
     let env = registry().build(&config.env)?;
     let mut spec = env.spec().clone();
     config.mentor.metric = config.mentor.metric.of(&spec);
+    if config.rival.kind == RivalKind::Resets && !env.can_be_put() {
+        bail!(EnvError::CannotBePut { env: spec.name });
+    }
     let wants_states = registry().wants_states(&config.env)?;
     let mentors = if config.needs_demonstration() || wants_states {
         let mentors = mentors(&config, env.as_ref())?;
@@ -170,6 +174,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
         experiment.spec.name
     );
     trestle_qnet::network_of(&experiment)?;
+    rivals::check(&experiment)?;
     trestle_qnet::kernels_of(&experiment)?;
     Ok(resolved)
 }
@@ -250,11 +255,17 @@ impl Resolved {
         // Shaping and learned bridges need a demonstration, but no mentor-server.
         let mentors = self.mentors.as_ref().filter(|_| self.config.run.algo.has_mentor());
         let waypoints = self.mentors.as_ref().filter(|_| self.config.needs_waypoints());
+        let mut waypoints = waypoints.map(|mentors| mentors.all.waypoints());
+        let mut spec = self.spec.clone();
+        if self.config.rival.kind == RivalKind::DShape {
+            waypoints = waypoints.map(|waypoints| waypoints.with_goals(spec.obs_dim()));
+            spec = spec.with_goals();
+        }
         Experiment {
             config: self.config.clone(),
-            spec: self.spec.clone(),
+            spec,
             mentors: mentors.into_iter().flat_map(|mentors| &mentors.each).map(part).collect(),
-            waypoints: waypoints.map(|mentors| mentors.all.waypoints()),
+            waypoints,
         }
     }
 

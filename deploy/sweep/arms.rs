@@ -4,7 +4,8 @@ use crate::submit::SUBMIT;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
-use trestle_proto::config::Algo;
+use trestle_proto::config::{Algo, Choice, RivalKind};
+use trestle_proto::names;
 use trestle_suite::set::{MAX_NAME, is_plain};
 
 /// Directories of a sweep that hold something else: those of its report, and of the jobs that a scheduler got.
@@ -36,10 +37,39 @@ pub(crate) struct OnTask {
     pub(crate) demonstration: Option<PathBuf>,
 }
 
+/// Rivals by the names that their runs have, each with the algorithm that it is added to and its kind.
+const RIVALS: [(&str, Algo, RivalKind); 6] = [
+    ("dqn+optimal-transport", Algo::Dqn, RivalKind::OptimalTransport),
+    ("dqn+resets", Algo::Dqn, RivalKind::Resets),
+    ("diiqn+labels", Algo::Diiqn, RivalKind::InverseDynamics),
+    ("ha-diiqn+labels", Algo::HaDiiqn, RivalKind::InverseDynamics),
+    ("dqn+d-shape", Algo::Dqn, RivalKind::DShape),
+    ("dqn+gaifo", Algo::Dqn, RivalKind::Gaifo),
+];
+
 impl Arm {
     /// An algorithm as it is.
     pub(crate) fn plain(algo: Algo) -> Self {
         Self { name: algo.name().into(), sets: vec![format!("run.algo={:?}", algo.name())], task: None }
+    }
+
+    /// What can stand in --algos: the algorithms, and each rival as it is.
+    pub(crate) fn known() -> Vec<Self> {
+        let rivals = RIVALS.iter().map(|&(name, algo, kind)| Self {
+            name: name.into(),
+            sets: vec![format!("run.algo={:?}", algo.name()), format!("rival.kind={:?}", kind.name())],
+            task: None,
+        });
+        Algo::ALL.iter().map(|&(algo, ..)| Self::plain(algo)).chain(rivals).collect()
+    }
+
+    /// The one of [`Arm::known`] that is called `name`.
+    pub(crate) fn of_name(name: &str) -> Result<Self, String> {
+        let known = Self::known();
+        let names: Vec<&str> = known.iter().map(|arm| arm.name.as_str()).collect();
+        let hint = names::hint(name, names.iter().copied());
+        let refused = format!("{name}; accepted: {}{hint}", names.join(", "));
+        known.into_iter().find(|arm| arm.name == name).ok_or(refused)
     }
 }
 

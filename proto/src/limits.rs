@@ -20,6 +20,8 @@ pub const MAX_REPLAY: usize = 100_000_000;
 pub const MAX_N_STEP: usize = 64;
 /// Most steps between a state and the later one that a learned bridge takes for its goal (`mentor.learned.horizon`).
 pub const MAX_HORIZON: usize = 64;
+/// Most relabelled transitions for each stored one in D-Shape (`rival.dshape.goals`).
+pub const MAX_RELABELLED: usize = 16;
 /// Most paths of its own that an observer keeps (`mentor.learned.own_paths`).
 pub const MAX_OWN_PATHS: usize = 64;
 /// Most places of one of them; a longer one is not kept.

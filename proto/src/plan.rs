@@ -6,7 +6,7 @@ use crate::experiment::Experiment;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
-pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 10 };
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 11 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

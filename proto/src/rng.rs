@@ -32,6 +32,10 @@ pub enum Purpose {
     PolicyReplay = 10,
     /// Draws from own paths.
     Imitation = 11,
+    /// Initial weights of a rival's network.
+    RivalWeights = 16,
+    /// What a rival draws from the replay and from the mentor's states.
+    RivalReplay = 17,
     /// What a mentor of a suite's task does; no run draws from it.
     Demonstration = 32,
 }

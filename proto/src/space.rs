@@ -144,6 +144,37 @@ impl EnvSpec {
         self.actions.len()
     }
 
+    /// The same where each observation is followed by a goal, a state like itself.
+    pub fn with_goals(&self) -> Self {
+        let twice = |values: &[f32]| [values, values].concat();
+        let both = |features: &[usize]| -> Vec<usize> {
+            let goals = features.iter().map(|&feature| feature + self.obs_dim());
+            features.iter().copied().chain(goals).collect()
+        };
+        Self {
+            low: twice(&self.low),
+            high: twice(&self.high),
+            scale: twice(&self.scale),
+            categories: both(&self.categories),
+            velocities: both(&self.velocities),
+            ..self.clone()
+        }
+    }
+
+    /// The spaces of which [`EnvSpec::with_goals`] are these.
+    pub fn without_goals(&self) -> Self {
+        let dim = self.obs_dim() / 2;
+        let own = |features: &[usize]| features.iter().copied().filter(|&feature| feature < dim).collect();
+        Self {
+            low: self.low[..dim].to_vec(),
+            high: self.high[..dim].to_vec(),
+            scale: self.scale[..dim].to_vec(),
+            categories: own(&self.categories),
+            velocities: own(&self.velocities),
+            ..self.clone()
+        }
+    }
+
     /// Checks all that the other processes rely on.
     pub fn validate(&self) -> Result<(), SpaceError> {
         let dim = self.obs_dim();

@@ -39,6 +39,15 @@ pub enum EnvError {
         /// Steps that the process has taken.
         after: u64,
     },
+    /// Episodes that are to begin in states of the mentor's.
+    #[error(
+        "rival.kind = resets: the environment {env} cannot be put into a state; accepted: another rival, or an environment that \
+         can"
+    )]
+    CannotBePut {
+        /// Name of the environment.
+        env: String,
+    },
     /// A snapshot that cannot be written or read.
     #[error("snapshot of an environment: {0}")]
     Snapshot(#[from] CodecError),

@@ -109,6 +109,20 @@ pub trait Environment: Send {
         Ok(None)
     }
 
+    /// Whether [`Environment::put`] can begin an episode in other states than the environment itself does.
+    fn can_be_put(&self) -> bool {
+        false
+    }
+
+    /// Begins an episode in `state` (`[obs_dim]`), as if it were the first of one, and writes what is observed into `obs`. Whether
+    /// it has: not in a terminal state, nor in one that cannot be, which leaves all as it was.
+    ///
+    /// # Errors
+    /// What only the environment itself knows.
+    fn put(&mut self, _state: &[f32], _obs: &mut [f32]) -> Result<bool, EnvError> {
+        Ok(false)
+    }
+
     /// Whether the environment can ever be in the state that is observed as `state` (`[obs_dim]`): what a demonstration of
     /// it may hold. The default looks at the spaces alone.
     ///

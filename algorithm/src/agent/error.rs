@@ -1,17 +1,17 @@
 //! What can keep an agent from being made, fed or trained.
 
 use crate::replay::ReplayMemoryError;
+use crate::rivals::RivalError;
 use crate::selection::SelectionError;
-use crate::similarity::metric::MetricError;
 use trestle_proto::annotation::AnnotationError;
 use trestle_qnet::{AdamError, LossError, NetworkError, PlanError};
 
 /// Why an agent cannot be made or cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
-    /// The state distance of shaping.
+    /// A rival that cannot be made.
     #[error(transparent)]
-    Metric(#[from] MetricError),
+    Rival(#[from] RivalError),
     /// The network's sizes or its input's encoding.
     #[error(transparent)]
     Plan(#[from] PlanError),
@@ -70,6 +70,11 @@ pub enum AgentError {
         /// What is accepted.
         accepted: u64,
     },
+    /// What a rival is to remember is not of this run.
+    #[error(
+        "saved state: what the rival remembers is of another rival, network or replay; accepted: that of this run"
+    )]
+    RivalState,
     /// Training has diverged.
     #[error(
         "{what} is no longer finite after {grad_steps} gradient steps: training has diverged; a smaller learner.lr \

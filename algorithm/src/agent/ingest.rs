@@ -42,7 +42,7 @@ impl Agent {
             mentor.annotations.apply(&observed.changed)?;
             mentor.searches_cut_short += u64::from(observed.cut_short);
             for record in observed.changed.chunks_exact(record_words(self.replay.obs_dim())) {
-                self.renew_known(record[0] as usize);
+                self.renew_annotated(record[0] as usize);
             }
         }
         let mut ingested = Ingested::default();
@@ -54,8 +54,8 @@ impl Agent {
             let transition = batch.transition(index);
             let picked = observed.map_or(NONE, |observed| observed.mentor[index]);
             let slot = self.replay.push(&transition, batch.header.actor, picked);
-            if let Some(shaping) = &mut self.shaping {
-                shaping.store(slot, &transition);
+            if let Some(rival) = &mut self.rival {
+                rival.store(&self.replay, slot);
             }
             if let Some(mentor) = &mut self.mentor {
                 mentor.selection.stored(slot);
@@ -79,6 +79,9 @@ impl Agent {
                     && own.take(&self.replay, first, length, success)
                 {
                     own.publish(&mut self.acting.own);
+                }
+                if let Some(rival) = &mut self.rival {
+                    rival.finish(&self.replay, first, length);
                 }
                 self.counters.episodes += 1;
                 ingested.finished.push(FinishedEpisode {

@@ -31,8 +31,8 @@ pub use stats::{MentorSummary, TrainStats};
 use crate::learned_bridges::{Hindsight, Imitation, OwnPaths, hindsight_of, imitation_of, own_of};
 use crate::losses::{MentorKind, MentorRule, mentor_term};
 use crate::replay::Replay;
+use crate::rivals::Rival;
 use crate::selection::{self, Need, Rule};
-use crate::shaping::Shaping;
 use sha2::{Digest, Sha256};
 use std::ops::Range;
 use step::Step;
@@ -57,8 +57,8 @@ pub struct Agent {
     replay: Replay,
     /// None for `dqn`.
     mentor: Option<MentorSide>,
-    /// What is added to the rewards, if anything is.
-    shaping: Option<Shaping>,
+    /// What learns from the mentor's states in another way, if anything does.
+    rival: Option<Rival>,
     /// What learns the policy that guides, with learned bridges.
     hindsight: Option<Hindsight>,
     /// Own paths, and what imitates them.
@@ -179,7 +179,7 @@ impl Agent {
             adam: Adam::new(layout.n_params()),
             replay: Replay::new(settings.learner.replay, experiment.spec.obs_dim())?,
             network,
-            shaping: Shaping::new(experiment)?,
+            rival: Rival::new(experiment)?,
             hindsight,
             own: own_of(experiment)?,
             imitation: imitation_of(experiment)?,
@@ -230,6 +230,14 @@ impl Agent {
     /// that of its loss as of the last [`Agent::ingest`].
     pub fn acting(&self) -> &Acting {
         &self.acting
+    }
+
+    /// Takes in that the annotation of mentor transition `j` is a new one.
+    fn renew_annotated(&mut self, j: usize) {
+        if let (Some(rival), Some(mentor)) = (&self.rival, &mut self.mentor) {
+            rival.label(j, &mut mentor.annotations);
+        }
+        self.renew_known(j);
     }
 
     /// Renews the known action of mentor transition `j`.

@@ -3,6 +3,7 @@
 use super::Counters;
 use super::{Agent, AgentError, MentorSide, Running};
 use crate::learned_bridges::{Hindsight, HindsightState, OwnPath, OwnPaths};
+use crate::rivals::{Rival, RivalState};
 use serde::{Deserialize, Serialize};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rng::Stream;
@@ -29,6 +30,8 @@ pub struct AgentState {
     /// Own paths, and the stream that draws from them.
     own: Vec<OwnPath>,
     imitation: Option<Stream>,
+    /// What a rival remembers.
+    rival: RivalState,
     /// CRC-32C of the demonstration, so that an agent never goes on with another one.
     demonstration: u32,
 }
@@ -81,6 +84,7 @@ impl Agent {
             hindsight: self.hindsight.as_ref().map(|hindsight| hindsight.state().clone()),
             own: self.own.as_ref().map(|own| own.paths().to_vec()).unwrap_or_default(),
             imitation: self.imitation.as_ref().map(|imitation| imitation.rng().clone()),
+            rival: self.rival.as_ref().map(Rival::state).unwrap_or_default(),
             demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
         }
     }
@@ -174,8 +178,12 @@ impl Agent {
             own.publish(&mut self.acting.own);
         }
         (0..mentor_len).for_each(|j| self.renew_known(j));
-        if let Some(shaping) = &mut self.shaping {
-            shaping.store_all(&self.replay);
+        let rival = match &mut self.rival {
+            Some(rival) => rival.restore(&state.rival, &self.replay),
+            None => state.rival == RivalState::None,
+        };
+        if !rival {
+            return Err(AgentError::RivalState);
         }
         self.adam.clone_from(&parts.adam);
         self.counters = state.counters;

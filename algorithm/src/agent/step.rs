@@ -8,8 +8,9 @@
 use super::{AgentError, MentorSide, Settings, TrainStats};
 use crate::losses::{MentorKind, MentorRule, Weights, acts, mentor_term, n_step, next_value, target_value};
 use crate::replay::Replay;
+use crate::rivals::Shown;
+use crate::rivals::dshape::View;
 use crate::selection::{self, Own};
-use crate::shaping::Shaping;
 use rand::{Rng, RngCore};
 use trestle_proto::config::{Backend, DrawKind};
 use trestle_qnet::autodiff::{Samples, loss_and_gradient};
@@ -159,7 +160,6 @@ impl Step {
     }
 
     /// The drawn slots.
-    #[cfg(test)]
     pub(super) fn slots(&self) -> &[u32] {
         &self.slots
     }
@@ -203,6 +203,14 @@ impl Step {
         }
     }
 
+    /// Puts the first states of `view` in the place of those of the samples, none of which has a mentor transition.
+    pub(super) fn look(&mut self, view: &View, encoding: &Encoding) {
+        self.x.len = 0;
+        for at in 0..self.samples.len() {
+            self.x.push(encoding, view.from(at));
+        }
+    }
+
     /// Makes the entry in `slot` a sample, to which mentor transition `j` belongs. There must be room.
     pub(super) fn add(
         &mut self,
@@ -237,12 +245,13 @@ impl Step {
         Ok(())
     }
 
-    /// Decides which losses each sample trains with, and collects the terms and their next states.
+    /// Decides which losses each sample trains with, and collects the terms and their next states. `shown` is what a rival adds
+    /// to rewards, or puts in the place of the samples.
     pub(super) fn choose(
         &mut self,
         replay: &Replay,
         mentor: Option<&MentorSide>,
-        shaping: Option<&Shaping>,
+        shown: Shown<'_>,
         settings: &Settings,
         encoding: &Encoding,
         stats: &mut TrainStats,
@@ -251,7 +260,7 @@ impl Step {
         self.used.clear();
         self.next.len = 0;
         stats.samples += self.samples.len() as u64;
-        for sample in &self.samples {
+        for (at, sample) in self.samples.iter().enumerate() {
             let entry = replay.get(sample.slot);
             stats.with_mentor += u64::from(sample.mentor.is_some());
             match sample.candidate.map(|candidate| candidate.kind) {
@@ -266,12 +275,16 @@ impl Step {
             if weights.own > 0.0 || settings.one_sided {
                 let mut last = sample.slot;
                 let path = replay.path(sample.slot, settings.learner.n_step).inspect(|&slot| last = slot);
-                let reward = |slot| {
-                    replay.get(slot).transition.reward + shaping.map_or(0.0, |shaping| shaping.added(slot))
-                };
-                let (reward, discount) = n_step(settings.gamma, path.map(reward));
+                let reward =
+                    |slot| replay.get(slot).transition.reward + shown.added.map_or(0.0, |added| added[slot]);
+                let (mut reward, discount) = n_step(settings.gamma, path.map(reward));
                 let end = replay.get(last).transition;
-                let next = (!end.terminated()).then(|| self.next.push(encoding, end.next_obs));
+                let mut next_obs = end.next_obs;
+                if let Some(view) = shown.view {
+                    reward += view.added(at);
+                    next_obs = view.to(at);
+                }
+                let next = (!end.terminated()).then(|| self.next.push(encoding, next_obs));
                 self.terms.push(Term {
                     row: sample.row,
                     action: sample.action,

@@ -1,7 +1,9 @@
 //! Gradient steps: those that are due, one after the other.
 
 use super::{Agent, AgentError, TrainStats};
+use crate::rivals::{Rival, Shown};
 use trestle_proto::config::TargetKind;
+use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::schedule::{gradient_steps_due, guides};
 use trestle_qnet::clip_grad_norm;
 
@@ -20,6 +22,12 @@ impl Agent {
         let guides = guides(&self.settings.exploration, to);
         for _ in 0..due {
             self.gradient_step(&mut stats)?;
+            if let Some(rival) = &mut self.rival {
+                let transitions = self.mentor.as_ref().map(|mentor| &mentor.transitions);
+                let labelled = rival.learn(&self.replay, transitions);
+                let len = transitions.filter(|_| labelled).map_or(0, MentorTransitions::len);
+                (0..len).for_each(|j| self.renew_annotated(j));
+            }
             if let Some(hindsight) = self.hindsight.as_mut().filter(|_| guides)
                 && let Some(loss) = hindsight.update(&self.replay)
             {
@@ -54,15 +62,15 @@ impl Agent {
         let (settings, step) = (&self.settings, &mut self.step);
         step.draw(&self.replay, self.mentor.as_ref(), settings.draw, &mut self.rng, settings.learner.batch);
         step.collect(&self.replay, self.mentor.as_ref(), &settings.rule, &self.encoding);
+        if let Some(rival) = &mut self.rival {
+            rival.prepare(&self.replay, step.slots(), settings.learner.n_step);
+        }
+        let shown = self.rival.as_ref().map_or_else(Shown::default, Rival::shown);
+        if let Some(view) = shown.view {
+            step.look(view, &self.encoding);
+        }
         step.forward_values(&self.network)?;
-        step.choose(
-            &self.replay,
-            self.mentor.as_ref(),
-            self.shaping.as_ref(),
-            settings,
-            &self.encoding,
-            stats,
-        );
+        step.choose(&self.replay, self.mentor.as_ref(), shown, settings, &self.encoding, stats);
         if let Some(mentor) = &mut self.mentor {
             step.count_used(&mut mentor.used);
             step.each_with_mentor(|own, candidate| mentor.selection.trained(own, candidate));

@@ -145,6 +145,13 @@ impl Replay {
         (index % self.capacity as u64) as usize
     }
 
+    /// The global index of the transition that is stored in `slot` (below [`Replay::len`]).
+    pub fn index(&self, slot: usize) -> u64 {
+        let newest = self.pushed - 1;
+        let back = (self.slot(newest) + self.capacity - slot) % self.capacity;
+        newest - back as u64
+    }
+
     /// Stores `transition` of `actor` (below [`MAX_ACTORS`]), in place of the oldest one where the ring is full.
     /// `mentor` is the index of the picked mentor transition or [`NONE`]. Returns the slot.
     pub fn push(&mut self, transition: &Transition<'_>, actor: u32, mentor: u32) -> usize {

@@ -1,7 +1,7 @@
 //! The distance of states, which all processes must agree on, and exact indexes over it.
 //!
 //! [`metric`] makes it from a configuration and the mentor's states; [`Similarity`] names the mentor states near a
-//! state. The mentor-server, actors with guided exploration and a learner with shaping measure alike.
+//! state. The mentor-server, actors with guided exploration and a rival measure alike.
 
 pub mod gaussian;
 mod index;

@@ -20,7 +20,7 @@ use trestle_proto::own_file;
 use trestle_proto::plan::Life;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
-pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 6 };
+pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 7 };
 pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
 pub(super) const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
 /// First words of `annotations.bin`: magic, and the version of the records' layout.

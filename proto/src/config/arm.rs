@@ -22,7 +22,7 @@ impl Config {
 
     /// Whether actors or learner need the mentor's states themselves.
     pub fn needs_waypoints(&self) -> bool {
-        self.guide().is_some() || self.shaped()
+        self.guide().is_some() || self.shaped() || self.rival.kind.needs_states()
     }
 
     /// The name of the algorithm in results: that of `run.algo`, with a suffix for each extension of ours that is
@@ -43,7 +43,7 @@ impl Config {
             (self.shaped(), "+shaped"),
         ];
         let on = suffixes.iter().filter(|(on, _)| *on).map(|(_, suffix)| *suffix);
-        std::iter::once(self.run.algo.name()).chain(on).collect()
+        std::iter::once(self.run.algo.name()).chain(on).chain(self.rival.kind.suffix()).collect()
     }
 }
 

@@ -1,7 +1,7 @@
 //! Rules over several settings, which no setting's own declaration can state.
 
 use super::accepts::{at_least, between};
-use super::{Algo, Config, ConfigError, Field, GuideKind, HazardKind, Mode, refuse};
+use super::{Algo, Config, ConfigError, Field, GuideKind, HazardKind, Mode, RivalKind, refuse};
 use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
 
 impl Config {
@@ -16,7 +16,8 @@ impl Config {
         self.check_streaming()?;
         self.check_hazard()?;
         self.check_learner()?;
-        self.check_mentor()
+        self.check_mentor()?;
+        self.check_rival()
     }
 
     /// A run ends at some time.
@@ -85,6 +86,23 @@ impl Config {
         let paths = learned.imitate == 0.0 || learned.own_paths > 0;
         let accepted = "1 or more with mentor.learned.imitate above 0";
         require(paths, "mentor.learned.own_paths", learned.own_paths, accepted)
+    }
+
+    /// A rival's rewards are unknown to a mentor's losses, and two rivals at once would be none.
+    fn check_rival(&self) -> Result<(), ConfigError> {
+        let (kind, algo, potential) = (self.rival.kind, self.run.algo, self.shaping.potential);
+        let (fits, accepted) = match kind {
+            RivalKind::None => return Ok(()),
+            RivalKind::InverseDynamics => (algo.has_mentor(), "diiqn or ha-diiqn"),
+            // Guides compare states with the mentor's, and know of no goals and no other beginnings.
+            RivalKind::Resets | RivalKind::DShape => {
+                (algo == Algo::Dqn && self.guide().is_none(), "dqn without a guide")
+            }
+            RivalKind::OptimalTransport | RivalKind::Gaifo => (!algo.has_mentor(), "dqn or trestle"),
+        };
+        require(fits, "run.algo", algo, &format!("{accepted} with rival.kind = {kind}"))?;
+        let accepted = format!("0 with rival.kind = {kind}");
+        require(!self.shaped(), "shaping.potential", potential, &accepted)
     }
 }
 

@@ -318,7 +318,7 @@ mod tests {
         assert!(refused(&["run.gamma=0.9"]).ends_with("did you mean `learner.gamma`?"));
         assert!(refused(&["lerner.gamma=0.9"]).ends_with("did you mean `learner`?"));
         assert!(refused(&["nonsense=1"]).ends_with(
-            "tables: run, env, exploration, learner, mentor, shaping, eval, checkpoint, supervise"
+            "tables: run, env, exploration, learner, mentor, shaping, rival, eval, checkpoint, supervise"
         ));
         assert!(
             refused(&["checkpoint.often=1"]).ends_with("accepted in [checkpoint]: every_env_steps, keep")

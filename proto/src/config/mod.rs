@@ -19,6 +19,7 @@ mod learned;
 mod learner;
 mod load;
 mod mentor;
+mod rival;
 mod run;
 mod selection;
 mod setting;
@@ -38,6 +39,7 @@ pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
     CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, Shaping,
 };
+pub use rival::{AdversarialKind, DShape, Gaifo, Inverse, Resets, Rival, RivalKind, SquashKind, Transport};
 pub use run::{Algo, IsaKind, Mode, Run};
 pub use selection::{SelectionRule, listed};
 pub use setting::{Choice, Field, Setting, expansion};
@@ -63,6 +65,8 @@ settings! {
         mentor: Mentor = Mentor::default();
         /// Shaping of `dqn`'s rewards.
         shaping: Shaping = Shaping::default();
+        /// Other people's ways to learn from a mentor's states.
+        rival: Rival = Rival::default();
         /// Greedy evaluations, and when the task counts as solved.
         eval: Eval = Eval::default();
         /// Checkpoints.

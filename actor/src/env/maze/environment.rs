@@ -119,6 +119,16 @@ impl Maze {
     fn observe(&self, obs: &mut [f32]) {
         obs.copy_from_slice(&observation(self.map.cell(self.at)));
     }
+
+    /// Begins an episode in the cell with index `at`.
+    fn begin(&mut self, at: usize, obs: &mut [f32]) {
+        self.at = at;
+        self.steps = 0;
+        self.running = true;
+        self.visited.clear();
+        self.visited.insert(self.at);
+        self.observe(obs);
+    }
 }
 
 fn spec(name: &str, step_limit: u32, map: &Map, set: &ActionSet, optimum: usize) -> EnvSpec {
@@ -148,13 +158,24 @@ impl Environment for Maze {
 
     /// Every episode begins at the start; nothing is drawn.
     fn reset(&mut self, _rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
-        self.at = self.map.index(self.map.start());
-        self.steps = 0;
-        self.running = true;
-        self.visited.clear();
-        self.visited.insert(self.at);
-        self.observe(obs);
+        self.begin(self.map.index(self.map.start()), obs);
         Ok(())
+    }
+
+    fn can_be_put(&self) -> bool {
+        true
+    }
+
+    fn put(&mut self, state: &[f32], obs: &mut [f32]) -> Result<bool, EnvError> {
+        if self.can_be_in(state).is_err() {
+            return Ok(false);
+        }
+        let at = self.map.index([state[0], state[1]].map(|coordinate| coordinate as usize));
+        let begins = at != self.goal;
+        if begins {
+            self.begin(at, obs);
+        }
+        Ok(begins)
     }
 
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {

@@ -162,6 +162,23 @@ impl Environment for PointMaze {
         Ok(())
     }
 
+    fn can_be_put(&self) -> bool {
+        true
+    }
+
+    fn put(&mut self, state: &[f32], obs: &mut [f32]) -> Result<bool, EnvError> {
+        let number = |feature: usize| f64::from(state[feature]);
+        let position = [number(0), number(1)];
+        let begins = self.can_be_in(state).is_ok() && !self.geometry.reached(position);
+        if begins {
+            self.body = Body { position, velocity: [number(2), number(3)] }.limited();
+            self.steps = 0;
+            self.running = true;
+            obs.copy_from_slice(&self.body.observation());
+        }
+        Ok(begins)
+    }
+
     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {
         if !self.running {
             return Err(EnvError::Ended);

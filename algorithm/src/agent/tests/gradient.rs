@@ -2,6 +2,7 @@
 
 use super::{agent, live};
 use crate::agent::{Agent, TrainStats};
+use crate::rivals::Shown;
 use crate::testing::{Walked, World};
 use proptest::prelude::*;
 use trestle_proto::NONE;
@@ -234,7 +235,7 @@ proptest! {
         let (slots, drawn) = (step.slots().to_vec(), step.drawn().to_vec());
         step.collect(replay, mentor.as_ref(), &settings.rule, encoding);
         step.forward_values(network).unwrap();
-        step.choose(replay, mentor.as_ref(), None, settings, encoding, &mut stats);
+        step.choose(replay, mentor.as_ref(), Shown::default(), settings, encoding, &mut stats);
         step.forward_targets(network, settings).unwrap();
         step.differentiate(network, settings, &mut stats).unwrap();
         let grad = step.grad.clone();

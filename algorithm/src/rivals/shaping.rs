@@ -87,9 +87,9 @@ impl Shaping {
         }
     }
 
-    /// F of the transition in `slot`.
-    pub fn added(&self, slot: usize) -> f32 {
-        self.added[slot]
+    /// F of the transition in each slot.
+    pub fn added(&self) -> &[f32] {
+        &self.added
     }
 }
 
