@@ -134,7 +134,7 @@ def test_the_demonstration_scales_the_input_if_it_is_to(trestle: Trestle, tmp_pa
         assert json.loads(config["env"]["gym"]["found"])["features"]["range"] == [[-1.0, 3.0]]
         trestle("resume", algo, "--env-steps", 960)
     said = check(trestle, ok=False, make="envs:Line", scale="'demonstrations'")
-    assert "env.gym.scale = demonstrations; accepted: a number above 0 for each feature, or demonstration" in said
+    assert "scale = demonstrations; accepted: a number above 0 for each feature, or demonstration" in said
 
 
 def test_thresholds_come_from_the_registry(trestle: Trestle) -> None:
