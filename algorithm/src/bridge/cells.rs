@@ -3,21 +3,43 @@
 //! Similar states differ by at most the radius in every whitened feature, so they lie in the same cell or in adjacent
 //! ones. Cells are cut along at most three features, in which the mentor's states spread widest. Cells that share
 //! a hash share a list, which costs a few needless tests and nothing else: every join is verified by its KL.
+//!
+//! Where states lie thinly, most of those in adjacent cells are not similar, and a search asks for the same states again and
+//! again. So a state keeps a list of the similar ones, unless a cell around it is crowded. Where cells are crowded, lists would
+//! grow without bound, and there nothing is kept and nothing has to be kept up to date.
 
+use crate::similarity::metric::kl;
 use crate::states::{MixedMap, mix};
 
 /// Features that cells are cut along, at most: more of them mean more adjacent cells to look at.
 const MAX_AXES: usize = 3;
+/// A cell and those around it.
+const MAX_KEYS: usize = 3usize.pow(MAX_AXES as u32);
+/// A cell with more states than this is crowded.
+const CROWDED: usize = 64;
 
-/// The states by cell.
+/// The states by cell. Memory: about 50 bytes a state, and 4 for each pair of similar states that is listed, which for one
+/// state is at most 64 in each of 27 cells.
 #[derive(Clone, Debug)]
 pub struct Cells {
     axes: Vec<usize>,
+    e_th: f32,
     /// Side of a cell, a little above the radius so that rounding cannot separate similar states further.
     side: f64,
     cells: MixedMap<Vec<u32>>,
     /// Position of each state in its cell's list.
     slots: Vec<u32>,
+    /// What surrounds each state.
+    surroundings: Vec<Option<Surroundings>>,
+}
+
+/// What surrounds a state, as long as no cell there is crowded.
+#[derive(Clone, Debug)]
+struct Surroundings {
+    /// The similar states, this one included.
+    similar: Vec<u32>,
+    /// States in its cell and those around it.
+    crowd: u32,
 }
 
 impl Cells {
@@ -34,9 +56,11 @@ impl Cells {
         axes.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         Self {
             axes: axes.into_iter().take(MAX_AXES).map(|(_, axis)| axis).collect(),
+            e_th,
             side: (2.0 * f64::from(e_th)).sqrt() * 1.001 + 1e-18,
             cells: MixedMap::default(),
             slots: Vec::new(),
+            surroundings: Vec::new(),
         }
     }
 
@@ -45,27 +69,89 @@ impl Cells {
         (f64::from(x) / self.side).floor().clamp(-1e9, 1e9) as i64
     }
 
-    /// Adds state `id` at `whitened`.
-    pub fn insert(&mut self, id: u32, whitened: &[f32]) {
-        let key = self.key(whitened);
+    /// Adds state `id`. `whitened` gives its features and those of every state that was added before and not removed.
+    pub fn insert<'a>(&mut self, id: u32, whitened: impl Fn(u32) -> &'a [f32]) {
+        let state = whitened(id);
+        let key = self.key(state);
         let cell = self.cells.entry(key).or_default();
-        if self.slots.len() <= id as usize {
-            self.slots.resize(id as usize + 1, 0);
+        let at = id as usize;
+        if self.slots.len() <= at {
+            self.slots.resize(at + 1, 0);
+            self.surroundings.resize(at + 1, None);
         }
-        self.slots[id as usize] = cell.len() as u32;
+        self.slots[at] = cell.len() as u32;
         cell.push(id);
+        match cell.len() {
+            size if size == CROWDED + 1 => self.forget_around(state, key),
+            // Nothing is kept around a crowded cell.
+            size if size > CROWDED => {}
+            _ => self.meet(id, whitened),
+        }
     }
 
-    /// Removes state `id`, which was inserted at `whitened`.
-    pub fn remove(&mut self, id: u32, whitened: &[f32]) {
-        let key = self.key(whitened);
-        let Some(cell) = self.cells.get_mut(&key) else { return };
+    /// Enters new state `id` with those around it, and them with it.
+    fn meet<'a>(&mut self, id: u32, whitened: impl Fn(u32) -> &'a [f32]) {
+        let state = whitened(id);
+        let mut own = Surroundings { similar: Vec::new(), crowd: 0 };
+        let mut crowded = false;
+        for key in self.keys(state) {
+            let Some(cell) = self.cells.get(&key) else { continue };
+            own.crowd += cell.len() as u32;
+            if cell.len() > CROWDED {
+                crowded = true;
+                continue;
+            }
+            for &other in cell {
+                let similar = kl(state, whitened(other)) <= self.e_th;
+                if similar {
+                    own.similar.push(other);
+                }
+                if let Some(theirs) = &mut self.surroundings[other as usize] {
+                    theirs.crowd += 1;
+                    if similar {
+                        theirs.similar.push(id);
+                    }
+                }
+            }
+        }
+        self.surroundings[id as usize] = (!crowded).then_some(own);
+    }
+
+    /// The cell `own` of `state` has become crowded.
+    fn forget_around(&mut self, state: &[f32], own: u64) {
+        for key in self.keys(state) {
+            let Some(cell) = self.cells.get(&key) else { continue };
+            // Around other crowded cells nothing was kept.
+            if key == own || cell.len() <= CROWDED {
+                cell.iter().for_each(|&id| self.surroundings[id as usize] = None);
+            }
+        }
+    }
+
+    /// Removes state `id`; `whitened` as for [`Cells::insert`].
+    pub fn remove<'a>(&mut self, id: u32, whitened: impl Fn(u32) -> &'a [f32]) {
+        let state = whitened(id);
+        let own = self.key(state);
+        self.surroundings[id as usize] = None;
+        if self.cells.get(&own).is_some_and(|cell| cell.len() <= CROWDED) {
+            for key in self.keys(state) {
+                for &other in self.cells.get(&key).filter(|cell| cell.len() <= CROWDED).into_iter().flatten()
+                {
+                    let Some(theirs) = &mut self.surroundings[other as usize] else { continue };
+                    theirs.crowd -= 1;
+                    if let Some(at) = theirs.similar.iter().position(|&similar| similar == id) {
+                        theirs.similar.swap_remove(at);
+                    }
+                }
+            }
+        }
+        let Some(cell) = self.cells.get_mut(&own) else { return };
         let slot = self.slots[id as usize];
         cell.swap_remove(slot as usize);
         if let Some(&moved) = cell.get(slot as usize) {
             self.slots[moved as usize] = slot;
         } else if cell.is_empty() {
-            self.cells.remove(&key);
+            self.cells.remove(&own);
         }
     }
 
@@ -73,25 +159,41 @@ impl Cells {
         self.axes.iter().fold(0, |seed, &axis| mix(seed, self.coordinate(whitened[axis]) as u64))
     }
 
-    /// Calls `visit` with lists that together hold every state similar to `whitened`, and others. A state may come up
-    /// more than once. Which states come up depends on the states alone, their order on how they were stored.
-    pub fn nearby(&self, whitened: &[f32], mut visit: impl FnMut(&[u32])) {
+    /// The keys of the cell of `whitened` and of those around it.
+    fn keys(&self, whitened: &[f32]) -> impl Iterator<Item = u64> + use<> {
         let mut centre = [0; MAX_AXES];
         for (c, &axis) in centre.iter_mut().zip(&self.axes) {
             *c = self.coordinate(whitened[axis]);
         }
         let n = self.axes.len();
-        for code in 0..3usize.pow(n as u32) {
+        let mut keys = [0; MAX_KEYS];
+        let count = 3usize.pow(n as u32);
+        for (code, key) in keys[..count].iter_mut().enumerate() {
             let mut rest = code;
-            let key = centre[..n].iter().fold(0, |seed, &c| {
+            *key = centre[..n].iter().fold(0, |seed, &c| {
                 let offset = (rest % 3) as i64 - 1;
                 rest /= 3;
                 mix(seed, (c + offset) as u64)
             });
+        }
+        keys.into_iter().take(count)
+    }
+
+    /// Calls `visit` with lists that together hold every state similar to `whitened`, and others. A state may come up
+    /// more than once. Which states come up depends on the states alone, their order on how they were stored.
+    pub fn nearby(&self, whitened: &[f32], mut visit: impl FnMut(&[u32])) {
+        for key in self.keys(whitened) {
             if let Some(cell) = self.cells.get(&key) {
                 visit(cell);
             }
         }
+    }
+
+    /// The states similar to state `id`, itself included, and how many [`Cells::nearby`] would go through to find them;
+    /// none where that is not known.
+    pub fn listed(&self, id: u32) -> Option<(&[u32], usize)> {
+        let known = self.surroundings[id as usize].as_ref()?;
+        Some((&known.similar, known.crowd as usize))
     }
 }
 
@@ -108,22 +210,35 @@ mod tests {
             dim in 1usize..5,
             numbers in proptest::collection::vec(
                 prop_oneof![4 => -3.0f32..3.0, 2 => (-3i8..4).prop_map(f32::from), 1 => -1e18f32..1e18],
-                4..80,
+                4..120,
             ),
-            removed in proptest::collection::vec(any::<bool>(), 80),
+            removed in proptest::collection::vec(any::<bool>(), 120),
             e_th in prop_oneof![0.01f32..2.0, Just(0.0f32), Just(0.5f32)],
         ) {
             let points: Vec<&[f32]> = numbers.chunks_exact(dim).collect();
             let mut cells = Cells::new(e_th, &numbers[..points.len() * dim], dim);
-            for (id, point) in points.iter().enumerate() {
-                cells.insert(id as u32, point);
+            for id in 0..points.len() as u32 {
+                cells.insert(id, |id| points[id as usize]);
             }
-            for (id, point) in points.iter().enumerate().filter(|&(id, _)| removed[id]) {
-                cells.remove(id as u32, point);
+            for id in (0..points.len()).filter(|&id| removed[id]) {
+                cells.remove(id as u32, |id| points[id as usize]);
             }
-            for query in &points {
+            for (asking, query) in points.iter().enumerate() {
                 let mut found: BTreeSet<u32> = BTreeSet::new();
-                cells.nearby(query, |list| found.extend(list));
+                let mut crowd = 0;
+                cells.nearby(query, |list| {
+                    found.extend(list);
+                    crowd += list.len();
+                });
+                if let Some((listed, looks)) = cells.listed(asking as u32) {
+                    let similar = |id: &u32| !removed[*id as usize] && kl(query, points[*id as usize]) <= e_th;
+                    let expected: Vec<u32> = (0..points.len() as u32).filter(similar).collect();
+                    let mut listed = listed.to_vec();
+                    listed.sort_unstable();
+                    prop_assert_eq!((listed, looks), (expected, crowd));
+                } else {
+                    prop_assert!(removed[asking] || points.len() > CROWDED);
+                }
                 for (id, point) in points.iter().enumerate() {
                     if removed[id] {
                         prop_assert!(!found.contains(&(id as u32)));

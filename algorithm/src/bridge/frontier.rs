@@ -59,8 +59,8 @@ impl Side {
     }
 }
 
-/// Calls `visit` with every stored state similar to state `id` while the limit of `side` lasts. Each state that is
-/// looked at counts.
+/// Calls `visit` with every stored state similar to state `id` while the limit of `side` lasts. Each state in the cells
+/// around it counts, whether or not it has to be looked at.
 pub(super) fn similar(
     graph: &Graph,
     states: &States,
@@ -69,6 +69,16 @@ pub(super) fn similar(
     side: &mut Side,
     mut visit: impl FnMut(u32, &mut Side),
 ) {
+    if let Some((listed, crowd)) = graph.cells.listed(id) {
+        side.look(crowd);
+        for &other in listed {
+            if side.exhausted() {
+                return;
+            }
+            visit(other, side);
+        }
+        return;
+    }
     let centre = states.whitened(id);
     graph.cells.nearby(centre, |list| {
         side.look(list.len());

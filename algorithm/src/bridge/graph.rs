@@ -116,7 +116,7 @@ impl Graph {
 
     /// Adds a distinct state that has just come up.
     pub fn add_state(&mut self, id: u32, states: &States) {
-        self.cells.insert(id, states.whitened(id));
+        self.cells.insert(id, |id| states.whitened(id));
         let bound = states.bound();
         self.outgoing.resize_with(bound.max(self.outgoing.len()), Vec::new);
         self.incoming.resize_with(bound.max(self.incoming.len()), Vec::new);
@@ -125,7 +125,7 @@ impl Graph {
     /// Removes a distinct state that has just been released for the last time; no link touches it any more.
     pub fn remove_state(&mut self, id: u32, states: &States) {
         debug_assert!(self.outgoing[id as usize].is_empty() && self.incoming[id as usize].is_empty());
-        self.cells.remove(id, states.whitened(id));
+        self.cells.remove(id, |id| states.whitened(id));
     }
 
     /// Adds stored transition `index`.

@@ -4,6 +4,7 @@
 //! Each value holds as long as the newest transition that showed it is stored. After that, the next question looks it up
 //! anew. So a transition that leaves needs no work, and the answers are a function of the stored transitions.
 
+use super::Path;
 use super::graph::Graph;
 use crate::similarity::metric::kl;
 use crate::similarity::{Hit, Similarity};
@@ -26,13 +27,16 @@ enum Known<T> {
 }
 
 impl<T: Copy + PartialOrd> Known<T> {
-    /// Takes `value`, shown by transition `index`, the newest, into account; `better` of equals is true.
-    fn see(&mut self, value: T, index: u64, better: fn(&T, &T) -> bool) {
+    /// Takes `value`, shown by transition `index`, the newest, into account; `better` of equals is true. Whether it is the
+    /// first one where there was none.
+    fn see(&mut self, value: T, index: u64, better: fn(&T, &T) -> bool) -> bool {
+        let first = matches!(self, Self::Nothing);
         match self {
             Self::Unknown => {}
             Self::Value(seen) if !better(&value, &seen.value) => {}
             _ => *self = Self::Value(Seen { value, index }),
         }
+        first
     }
 
     /// Whether this has to be looked up, when transitions before `oldest` are gone.
@@ -69,9 +73,9 @@ pub(super) struct Outlook {
 }
 
 impl Outlook {
-    /// Nothing known of this many mentor states.
+    /// That of this many mentor states when no transition is stored.
     pub(super) fn new(mentor_states: usize) -> Self {
-        Self { ends: vec![Known::Unknown; mentor_states], starts: vec![Known::Unknown; mentor_states] }
+        Self { ends: vec![Known::Nothing; mentor_states], starts: vec![Known::Nothing; mentor_states] }
     }
 
     /// Forgets everything: transitions have been stored without [`Outlook::add`].
@@ -80,14 +84,39 @@ impl Outlook {
         self.starts.fill(Known::Unknown);
     }
 
-    /// Transition `index`, the newest, has been stored. `from` and `to` are the mentor states similar to its ends.
-    pub(super) fn add(&mut self, index: u64, reward: f32, from: &[Hit], to: &[Hit]) {
+    /// Transition `index`, the newest, has been stored. `from` and `to` are the mentor states similar to its ends. Calls
+    /// `covered` with each mentor transition that may be [`Outlook::covers`] now and was not before, perhaps more than once.
+    pub(super) fn add(
+        &mut self,
+        (index, reward): (u64, f32),
+        from: &[Hit],
+        to: &[Hit],
+        path: &Path<'_>,
+        mut covered: impl FnMut(usize),
+    ) {
+        let (order, n) = (path.order, path.rule.n);
         for hit in from {
-            self.starts[hit.state as usize].see(reward, index, |new, old| new >= old);
+            let m = hit.state as usize;
+            if self.starts[m].see(reward, index, |new, old| new >= old)
+                && let Some(j) = order.transition_of(m)
+                && order.ahead(j, n).any(|end| self.ends[end] != Known::Nothing)
+            {
+                covered(j);
+            }
         }
         for hit in to {
-            self.ends[hit.state as usize].see(hit.kl, index, |new, old| new <= old);
+            let m = hit.state as usize;
+            if self.ends[m].see(hit.kl, index, |new, old| new <= old) {
+                let starts = |&j: &usize| self.starts[order.state_of(j)] != Known::Nothing;
+                order.behind(m, n).filter(starts).for_each(&mut covered);
+            }
         }
+    }
+
+    /// Whether stored transitions begin where a bridge of mentor transition `j` must, and end where it must.
+    pub(super) fn covers(&mut self, j: usize, stock: &Stock<'_>, path: &Path<'_>) -> bool {
+        self.best_start(path.order.state_of(j), stock, path.similarity).is_some()
+            && path.order.ahead(j, path.rule.n).any(|m| self.nearest_end(m, stock, path.similarity).is_some())
     }
 
     /// The smallest KL between mentor state `m` and the end of a stored transition; none where no end is similar.

@@ -11,6 +11,11 @@
 //! over before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until
 //! every wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
 //!
+//! With a large demonstration many mentor transitions have no bridge, and distances rule few of them out. Then, rather than
+//! to name them all, a *survey* goes through what lies around t, whatever it may lead to, as long as that is little. It is over
+//! as soon as no beginning that it has met, or may still meet, has an end within its steps. Where it is much, those that are
+//! wanted are named after all. Both find the same.
+//!
 //! The contents of a level depend on the stored transitions alone, not on the order in which the graph keeps them. A
 //! search that has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes
 //! no further that way. So this choice, too, depends on the stored transitions alone.
@@ -18,7 +23,7 @@
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
 use super::outlook::{Outlook, Stock};
-use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
+use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals, known};
 use super::{Path, Place, improve};
 use crate::demonstration::transitions;
 use crate::history::Stored;
@@ -28,6 +33,10 @@ use crate::states::States;
 use std::cmp::Ordering;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
+/// Wanted transitions from which on a survey takes the place of naming them all.
+const MANY: usize = 16;
+/// States and links that a survey looks at in each direction, at most.
+const SURVEY: usize = 1 << 14;
 /// States and links that a search looks at in each direction, at most. Beyond the limit bridges may be missed, or longer
 /// than they could be, but never bridges without cross-referencing. Few searches begin, and most of them look at little.
 /// The limit is there so that even the largest batch is answered before its deadline.
@@ -63,6 +72,8 @@ struct Ends {
     steps: Vec<u32>,
     kl: Vec<f32>,
     touched: Vec<u32>,
+    /// The fewest steps to any.
+    least: u32,
 }
 
 /// Where paths to t begin, for each mentor transition: fewest steps before t, then best first step.
@@ -71,6 +82,17 @@ struct Starts {
     steps: Vec<u32>,
     first: Vec<First>,
     touched: Vec<u32>,
+    /// The most steps that one of them leaves for t and what follows.
+    left: u32,
+}
+
+/// Whether any mentor state is similar to a stored state.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Beside {
+    #[default]
+    Unknown,
+    Nothing,
+    Something,
 }
 
 /// The newest transition and where it has arrived.
@@ -95,6 +117,8 @@ pub struct Arrival<'a> {
 pub struct Search {
     /// [`MAX_LOOKS`], but for tests.
     pub(crate) limit: usize,
+    /// [`MANY`], but for tests.
+    pub(crate) many: usize,
     outlook: Outlook,
     collecting: Scratch,
     wanted: Vec<Wanted>,
@@ -117,9 +141,13 @@ pub struct Search {
     next_back: Vec<(u32, First)>,
     /// Position of a state in `next_back`, where it is there.
     slots: Vec<u32>,
+    /// For each stored state.
+    beside: Vec<Beside>,
     stack: Vec<u32>,
-    hits: Vec<Hit>,
+    /// The mentor states similar to s of t, to its s', and to a state on the way.
+    from_hits: Vec<Hit>,
     to_hits: Vec<Hit>,
+    hits: Vec<Hit>,
     cut_short: u64,
 }
 
@@ -129,6 +157,7 @@ impl Search {
         let nowhere = First { action: 0, reward: 0.0, to: 0 };
         Self {
             limit: MAX_LOOKS,
+            many: MANY,
             outlook: Outlook::new(mentor_states),
             collecting: Scratch::default(),
             wanted: Vec::new(),
@@ -138,11 +167,13 @@ impl Search {
                 steps: vec![NEVER; mentor_states],
                 kl: vec![f32::INFINITY; mentor_states],
                 touched: Vec::new(),
+                least: NEVER,
             },
             starts: Starts {
                 steps: vec![NEVER; mentor_transitions],
                 first: vec![nowhere; mentor_transitions],
                 touched: Vec::new(),
+                left: 0,
             },
             reached: Marks::default(),
             continued: Marks::default(),
@@ -155,9 +186,11 @@ impl Search {
             back: Vec::new(),
             next_back: Vec::new(),
             slots: Vec::new(),
+            beside: Vec::new(),
             stack: Vec::new(),
-            hits: Vec::new(),
+            from_hits: Vec::new(),
             to_hits: Vec::new(),
+            hits: Vec::new(),
             cut_short: 0,
         }
     }
@@ -171,6 +204,7 @@ impl Search {
     pub fn forget(&mut self) {
         self.outlook.forget();
         self.collecting.forget();
+        self.beside.clear();
     }
 
     /// Looks for bridges through a new transition and improves `table`. `improved` is called with each mentor
@@ -183,26 +217,26 @@ impl Search {
         table: &mut AnnotationTable,
         mut improved: impl FnMut(usize),
     ) -> bool {
-        let Arrival { states, t, graph, oldest, .. } = *new;
+        let Arrival { states, t, graph, .. } = *new;
         let (from, to) = (states.whitened(t.from), states.whitened(t.to));
-        path.similarity.states(from, &mut self.stack, &mut self.hits);
+        path.similarity.states(from, &mut self.stack, &mut self.from_hits);
         path.similarity.states(to, &mut self.stack, &mut self.to_hits);
-        self.outlook.add(new.index, t.reward, &self.hits, &self.to_hits);
+        let Self { outlook, collecting, from_hits, to_hits, .. } = self;
+        outlook.add((new.index, t.reward), from_hits, to_hits, path, |j| collecting.grow(j, path));
         if new.news == News::Nothing {
             return true;
         }
+        self.beside.resize(states.bound().max(self.beside.len()), Beside::Unknown);
+        for (id, hits) in [(t.from, &self.from_hits), (t.to, &self.to_hits)] {
+            self.beside[id as usize] = if hits.is_empty() { Beside::Nothing } else { Beside::Something };
+        }
         let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
-        let newest = Newest {
-            from,
-            to,
-            reward: t.reward,
-            starts: &self.hits,
-            ends: &self.to_hits,
-            path,
-            stock: Stock { states, graph, oldest },
-            reach,
-        };
-        newest.collect(table, &mut self.outlook, &mut self.collecting, &mut self.wanted);
+        if !self.collect(new, path, &reach, self.many, table) {
+            if self.survey(new, path, table, &mut improved) {
+                return true;
+            }
+            self.collect(new, path, &reach, usize::MAX, table);
+        }
         if self.wanted.is_empty() {
             return true;
         }
@@ -214,17 +248,12 @@ impl Search {
                 (self.wanted.iter().any(|w| !w.ended), self.wanted.iter().any(|w| !w.started));
             // Nothing has been marked before the first level.
             if ahead.steps + behind.steps == 0 {
-                let Self { reached, continued, onward, entered, left, .. } = self;
-                [reached, continued, onward, entered, left].into_iter().for_each(|m| m.begin(states.bound()));
-                self.slots.resize(states.bound().max(self.slots.len()), 0);
-                self.reached.first_time(t.to);
-                self.continued.first_time(t.to);
-                self.left.first_time(t.from);
+                self.mark(new);
             }
             if backward && (!forward || self.back.len() < self.level.len()) {
-                self.backward(new, &mut behind, path, &reach, table);
+                self.backward(new, &mut behind, path, Some(&reach), table);
             } else {
-                self.forward(new, &mut ahead, path, &reach);
+                self.forward(new, &mut ahead, path, Some(&reach));
             }
         }
         let cut_short = ahead.exhausted() || behind.exhausted();
@@ -233,6 +262,72 @@ impl Search {
         self.ends.clear();
         self.starts.clear();
         !cut_short
+    }
+
+    /// Names the mentor transitions whose bridge a path through t could improve. False, and of no use, if they are more than
+    /// `most`.
+    fn collect(
+        &mut self,
+        new: &Arrival<'_>,
+        path: &Path<'_>,
+        reach: &Reach,
+        most: usize,
+        table: &AnnotationTable,
+    ) -> bool {
+        let Arrival { states, t, graph, oldest, .. } = *new;
+        let Self { from_hits, to_hits, outlook, collecting, wanted, .. } = self;
+        let newest = Newest {
+            from: states.whitened(t.from),
+            to: states.whitened(t.to),
+            reward: t.reward,
+            starts: from_hits,
+            ends: to_hits,
+            path,
+            stock: Stock { states, graph, oldest },
+            reach: *reach,
+        };
+        newest.collect_near(table, outlook, collecting, wanted);
+        newest.collect_far(table, outlook, collecting, most, wanted)
+    }
+
+    /// Goes through all that lies around t, and improves `table`. False if that is too much: then nothing has changed.
+    fn survey(
+        &mut self,
+        new: &Arrival<'_>,
+        path: &Path<'_>,
+        table: &mut AnnotationTable,
+        improved: &mut impl FnMut(usize),
+    ) -> bool {
+        let (t, k) = (new.t, path.rule.k as u32);
+        let limit = self.limit.min(SURVEY);
+        let mut ahead = Side::new(!t.ends_episode(), limit);
+        let mut behind = Side::new(new.news == News::Link, limit);
+        self.wanted.clear();
+        self.begin(new);
+        self.mark(new);
+        let first = First { action: t.action, reward: t.reward, to: t.to };
+        for (j, _) in transitions(&self.from_hits, path.order) {
+            self.starts.meet(j, 0, first, (table, path), new.states);
+        }
+        while !ahead.exhausted() && !behind.exhausted() {
+            let next = [&ahead, &behind].map(|side| if side.open { side.steps as u32 + 1 } else { NEVER });
+            // A beginning p steps before t and an end q steps after it make p + 1 + q.
+            let left = self.starts.left.max(k.saturating_sub(next[1]));
+            let nearest = self.ends.least.min(next[0]);
+            let forward = next[0] < left;
+            let backward = next[1].saturating_add(1).saturating_add(nearest) <= k;
+            if backward && (!forward || self.back.len() < self.level.len()) {
+                self.backward(new, &mut behind, path, None, table);
+            } else if forward {
+                self.forward(new, &mut ahead, path, None);
+            } else {
+                self.join(new, path, table, improved);
+                break;
+            }
+        }
+        self.ends.clear();
+        self.starts.clear();
+        !ahead.exhausted() && !behind.exhausted()
     }
 
     /// The first level: the end of t itself, and its beginning.
@@ -247,6 +342,17 @@ impl Search {
         for w in self.wanted.iter().filter(|w| w.started) {
             self.starts.note(w.j, 0, first, new.states);
         }
+    }
+
+    /// Marks the first level, and no other state.
+    fn mark(&mut self, new: &Arrival<'_>) {
+        let (t, bound) = (new.t, new.states.bound());
+        let Self { reached, continued, onward, entered, left, .. } = self;
+        [reached, continued, onward, entered, left].into_iter().for_each(|marks| marks.begin(bound));
+        self.slots.resize(bound.max(self.slots.len()), 0);
+        self.reached.first_time(t.to);
+        self.continued.first_time(t.to);
+        self.left.first_time(t.from);
     }
 
     /// Brings `wanted` up to date with the findings of both sides, and drops entries that are found or out of reach.
@@ -267,14 +373,17 @@ impl Search {
         !wanted.is_empty()
     }
 
-    /// The next level of states after t.
-    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: &Reach) {
+    /// The next level of states after t: with `reach` those from which a wanted bridge is within it.
+    fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: Option<&Reach>) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, ends, stack, hits, .. } = self;
-        let few = forward_goals(wanted, path, reach, FEW, goals);
+        let Self { goals, limits, wanted, ends, beside, stack, hits, .. } = self;
         limits.clear();
-        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+        let few = reach.is_some_and(|reach| {
+            let few = forward_goals(wanted, path, reach, FEW, goals);
+            limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+            few
+        });
         let Self { reached, continued, onward, level, next_level, next_reached, .. } = self;
         next_level.clear();
         next_reached.clear();
@@ -307,28 +416,31 @@ impl Search {
             if few {
                 path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
             } else {
-                path.similarity.states(state, stack, hits);
+                beside[id as usize].hits(state, path, stack, hits);
             }
             hits.iter().for_each(|hit| ends.note(hit, next));
         }
         std::mem::swap(level, next_level);
     }
 
-    /// The next level of states before t.
+    /// The next level of states before t: with `reach` those to which a wanted bridge is within it.
     fn backward(
         &mut self,
         new: &Arrival<'_>,
         side: &mut Side,
         path: &Path<'_>,
-        reach: &Reach,
+        reach: Option<&Reach>,
         table: &AnnotationTable,
     ) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, starts, stack, hits, .. } = self;
-        let few = backward_goals(wanted, path, reach, FEW, goals);
+        let Self { goals, limits, wanted, starts, beside, stack, hits, .. } = self;
         limits.clear();
-        limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+        let few = reach.is_some_and(|reach| {
+            let few = backward_goals(wanted, path, reach, FEW, goals);
+            limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
+            few
+        });
         let Self { entered, left, back, next_back, slots, .. } = self;
         next_back.clear();
         for &(z, _) in back.iter() {
@@ -362,12 +474,10 @@ impl Search {
             if few {
                 path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
             } else {
-                path.similarity.states(state, stack, hits);
+                beside[id as usize].hits(state, path, stack, hits);
             }
             for (j, _) in transitions(hits, path.order) {
-                if table.errors()[j] >= path.rule.e_infeas {
-                    starts.note(j as u32, next, first, states);
-                }
+                starts.meet(j, next, first, (table, path), states);
             }
         }
         next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
@@ -415,6 +525,18 @@ impl Search {
     }
 }
 
+impl Beside {
+    /// Fills `hits` with the mentor states similar to `state`, of which this is the entry.
+    fn hits(&mut self, state: &[f32], path: &Path<'_>, stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
+        if *self == Self::Nothing {
+            hits.clear();
+            return;
+        }
+        path.similarity.states(state, stack, hits);
+        *self = if hits.is_empty() { Self::Nothing } else { Self::Something };
+    }
+}
+
 impl Ends {
     /// A path has arrived near a mentor state after `steps` steps.
     fn note(&mut self, hit: &Hit, steps: u32) {
@@ -422,6 +544,7 @@ impl Ends {
         if self.steps[m] == NEVER {
             self.touched.push(hit.state);
         }
+        self.least = self.least.min(steps);
         if (steps, hit.kl) < (self.steps[m], self.kl[m]) {
             (self.steps[m], self.kl[m]) = (steps, hit.kl);
         }
@@ -429,12 +552,33 @@ impl Ends {
 
     /// Forgets everything.
     fn clear(&mut self) {
-        let Self { steps, kl, touched } = self;
+        let Self { steps, kl, touched, least } = self;
+        *least = NEVER;
         touched.drain(..).for_each(|m| (steps[m as usize], kl[m as usize]) = (NEVER, f32::INFINITY));
     }
 }
 
 impl Starts {
+    /// Notes the beginning of a path to t near the beginning of mentor transition `j`, if `j` is infeasible and a bridge with
+    /// so many steps before t could be of use.
+    fn meet(
+        &mut self,
+        j: usize,
+        steps: u32,
+        first: First,
+        (table, path): (&AnnotationTable, &Path<'_>),
+        states: &States,
+    ) {
+        if table.errors()[j] < path.rule.e_infeas {
+            return;
+        }
+        let most = known(table, j, &path.rule).map_or(path.rule.k as u32, |known| known.length);
+        if steps < most {
+            self.left = self.left.max(most - steps);
+            self.note(j as u32, steps, first, states);
+        }
+    }
+
     /// A path to t, of `steps` steps before it, begins near the beginning of mentor transition `j` with `first`.
     fn note(&mut self, j: u32, steps: u32, first: First, states: &States) {
         let at = j as usize;
@@ -449,7 +593,8 @@ impl Starts {
 
     /// Forgets everything.
     fn clear(&mut self) {
-        let Self { steps, touched, .. } = self;
+        let Self { steps, touched, left, .. } = self;
+        *left = 0;
         touched.drain(..).for_each(|j| steps[j as usize] = NEVER);
     }
 }

@@ -36,6 +36,8 @@ struct World {
     k: usize,
     n: usize,
     capacity: usize,
+    /// Whether everything around a transition is surveyed, however few mentor transitions are wanted.
+    surveyed: bool,
 }
 
 fn worlds() -> impl Strategy<Value = World> {
@@ -53,9 +55,9 @@ fn worlds() -> impl Strategy<Value = World> {
         1 => proptest::collection::vec(prop_oneof![Just((APART, 0.0f32)), Just((0.0, 1.0))], 1..=3),
     ];
     let jitter = prop_oneof![2 => Just(0.0f32), 1 => 0.01f32..0.4];
-    let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]);
+    let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80], any::<bool>());
     (mentor, moves, 2i8..5, features, jitter, scale).prop_map(
-        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity))| World {
+        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity, surveyed))| World {
             mentor,
             moves,
             side,
@@ -66,6 +68,7 @@ fn worlds() -> impl Strategy<Value = World> {
             k,
             n,
             capacity,
+            surveyed,
         },
     )
 }
@@ -270,6 +273,9 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let path = Path { rule, order: &order, similarity: &similarity };
     let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
     let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
+    if world.surveyed {
+        bench.search.many = 0;
+    }
     let whole = [vec![(1.0, 0.0), (0.0, 1.0)], vec![(0.0, 0.0)]].contains(&world.features);
     let discrete = whole && world.jitter == 0.0 && world.step * world.step > 2.0 * world.e_th;
     // Of each mentor transition.

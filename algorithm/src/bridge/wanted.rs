@@ -49,13 +49,26 @@ impl Reach {
 
     /// The fewest steps that may lead from a state to within `radius` of one with divergence `kl`.
     pub(super) fn steps(&self, kl: f32, radius: f64) -> u32 {
-        (((distance(kl) * SHORTER - radius) / self.stride).ceil() as u32).min(MANY)
+        let strides = ((distance(kl) * SHORTER - radius) / self.stride).min(f64::from(MANY));
+        // Upwards without a call to the mathematical library, which is what `ceil` would be.
+        let whole = strides as u32;
+        whole + u32::from(f64::from(whole) < strides)
     }
 
     /// The largest divergence that `steps` steps may overcome to within `radius`.
     pub(super) fn limit(&self, steps: u32, radius: f64) -> f32 {
         let distance = (f64::from(steps) * self.stride + radius) / (SHORTER * SHORTER);
         (0.5 * distance * distance) as f32
+    }
+
+    /// The largest divergence between s of t and a mentor state that leaves a bridge of `steps` + 2 steps room for `steps` of
+    /// them before t, and one or more after it. A bridge leads back to within `span` of where it began. So the farther away it
+    /// begins, the more steps it needs after t, which changes the state by KL `step`.
+    fn room(&self, steps: u32, step: f32, span: f64) -> f32 {
+        let both = f64::from(steps + 1) * self.stride + 2.0 * self.radius;
+        let farthest = 0.5 * (both / SHORTER + distance(step) + span) / (SHORTER * SHORTER);
+        let limit = if step.is_finite() { (0.5 * farthest * farthest) as f32 } else { f32::INFINITY };
+        limit.min(self.limit(steps, self.radius))
     }
 }
 
@@ -139,12 +152,14 @@ pub(super) struct Newest<'a> {
     pub(super) reach: Reach,
 }
 
-/// Working memory of [`Newest::collect`].
+/// Working memory of [`Newest::collect_near`] and [`Newest::collect_far`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
     room: Room,
+    /// The largest distance between the beginning of a mentor transition and a state where a bridge of it may end.
+    span: Option<f64>,
+    limits: Vec<f32>,
     seen: Marks,
-    candidates: Vec<(usize, f32)>,
     stack: Vec<u32>,
 }
 
@@ -153,12 +168,33 @@ impl Scratch {
     pub(super) fn forget(&mut self) {
         self.room.forget();
     }
+
+    /// Mentor transition `j` may have become one that stored transitions cover ([`Outlook::covers`]).
+    pub(super) fn grow(&mut self, j: usize, path: &Path<'_>) {
+        self.room.grow(path.similarity.fine(), path.order.state_of(j), most_room(path));
+    }
+}
+
+/// The most steps of a path before t, if it also goes on after t.
+fn most_room(path: &Path<'_>) -> u32 {
+    (path.rule.k as u32).saturating_sub(2)
+}
+
+/// The largest distance between a mentor state and one that is ahead of it.
+fn span(path: &Path<'_>) -> f64 {
+    let state = |m| path.similarity.state(m);
+    let of = |j| {
+        let start = state(path.order.state_of(j));
+        path.order.ahead(j, path.rule.n).map(|m| kl(start, state(m))).fold(0.0, f32::max)
+    };
+    let farthest = (0..path.order.n_transitions()).map(of).fold(0.0, f32::max);
+    if farthest.is_finite() { distance(farthest) } else { FARTHEST }
 }
 
 impl Newest<'_> {
-    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve: with t as its first step, with t
-    /// as its last step, or with room for more steps on both sides.
-    pub(super) fn collect(
+    /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve with t as its first step or as its
+    /// last one.
+    pub(super) fn collect_near(
         &self,
         table: &AnnotationTable,
         outlook: &mut Outlook,
@@ -167,27 +203,57 @@ impl Newest<'_> {
     ) {
         wanted.clear();
         let Path { rule, order, similarity } = self.path;
-        let Scratch { room, seen, candidates, stack } = scratch;
-        candidates.clear();
-        candidates.extend(transitions(self.starts, order));
-        for hit in self.ends {
-            let behind = order.behind(hit.state as usize, rule.n);
-            candidates.extend(behind.map(|j| (j, kl(self.from, similarity.state(order.state_of(j))))));
-        }
-        let most = (rule.k as u32).saturating_sub(2);
-        let room_of = |m: usize| {
-            let open = order.transition_of(m).filter(|&j| table.errors()[j] >= rule.e_infeas);
-            open.map_or(0, |j| known(table, j, rule).map_or(most, |known| known.length.saturating_sub(2)))
-        };
-        room.around(self.from, (similarity, &self.reach, most), room_of, stack, |m, kl| {
-            candidates.extend(order.transition_of(m).map(|j| (j, kl)));
-        });
+        let seen = &mut scratch.seen;
+        let open = |j: usize| table.errors()[j] >= rule.e_infeas;
         seen.begin(order.n_transitions());
-        for &(j, start_kl) in candidates.iter() {
-            if table.errors()[j] >= rule.e_infeas && seen.first_time(j as u32) {
+        for (j, start_kl) in transitions(self.starts, order) {
+            if open(j) && seen.first_time(j as u32) {
                 wanted.extend(self.want(j, start_kl, table, outlook));
             }
         }
+        for hit in self.ends {
+            for j in order.behind(hit.state as usize, rule.n) {
+                if open(j) && seen.first_time(j as u32) {
+                    let start_kl = kl(self.from, similarity.state(order.state_of(j)));
+                    wanted.extend(self.want(j, start_kl, table, outlook));
+                }
+            }
+        }
+    }
+
+    /// Adds those whose bridge leaves room for more steps on both sides of t, after [`Newest::collect_near`]. False, and of no
+    /// use, if that makes more than `most` entries.
+    pub(super) fn collect_far(
+        &self,
+        table: &AnnotationTable,
+        outlook: &mut Outlook,
+        scratch: &mut Scratch,
+        most: usize,
+        wanted: &mut Vec<Wanted>,
+    ) -> bool {
+        let Path { rule, order, similarity } = self.path;
+        let Scratch { room, span: widest, limits, seen, stack } = scratch;
+        let (step, most_steps) = (kl(self.from, self.to), most_room(self.path));
+        let widest = *widest.get_or_insert_with(|| span(self.path));
+        limits.clear();
+        limits.extend((0..=most_steps).map(|steps| self.reach.room(steps, step, widest)));
+        let room_of = |m: usize, outlook: &mut Outlook| {
+            let open = order.transition_of(m).filter(|&j| table.errors()[j] >= rule.e_infeas);
+            let Some(j) = open else { return 0 };
+            let steps = known(table, j, rule).map_or(most_steps, |known| known.length.saturating_sub(2));
+            if steps > 0 && outlook.covers(j, &self.stock, self.path) { steps } else { 0 }
+        };
+        room.around(self.from, similarity.fine(), limits, stack, |m, kl| {
+            let steps = room_of(m, outlook);
+            if steps > 0
+                && kl <= limits[steps as usize]
+                && let Some(j) = order.transition_of(m)
+                && seen.first_time(j as u32)
+            {
+                wanted.extend(self.want(j, kl, table, outlook));
+            }
+            (wanted.len() <= most).then_some(steps)
+        })
     }
 
     /// The entry for mentor transition `j`, which begins at KL `start_kl` from s, if its bridge may be improved.
@@ -201,21 +267,30 @@ impl Newest<'_> {
         let Self { to, path, stock, reach, .. } = self;
         let similarity = path.similarity;
         let known = known(table, j, &path.rule);
-        let longest = known.as_ref().map_or(path.rule.k as u32, |known| known.length - 1);
+        let most = known.as_ref().map_or(path.rule.k as u32, |known| known.length);
+        let longest = most - u32::from(known.is_some());
+        let started = start_kl <= similarity.e_th();
+        if most == 1 && !(started && path.nearest_end(j, self.ends).is_some()) {
+            return None;
+        }
         let before = reach.steps(start_kl, reach.radius);
+        let farthest = reach.limit(most.checked_sub(before + 1)?, reach.radius);
         let mut wanted = Wanted {
             j: j as u32,
             longest,
             end_kl: similarity.e_th(),
             before,
             after: NEVER,
-            started: start_kl <= similarity.e_th(),
+            started,
             ended: false,
         };
         for m in path.order.ahead(j, path.rule.n) {
             let kl = kl(to, similarity.state(m));
+            if kl > farthest {
+                continue;
+            }
             let after = reach.steps(kl, reach.radius);
-            if before + 1 + after > longest + u32::from(known.is_some()) {
+            if before + 1 + after > most {
                 continue;
             }
             let Some(nearest) = outlook.nearest_end(m, stock, similarity) else { continue };
@@ -241,7 +316,7 @@ impl Newest<'_> {
 }
 
 /// The bridge of mentor transition `j`, if it counts.
-fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<Bridge<'a>> {
+pub(super) fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<Bridge<'a>> {
     table.bridge(j).filter(|known| known.length as usize <= rule.k)
 }
 

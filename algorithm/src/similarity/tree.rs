@@ -194,6 +194,15 @@ impl Tree {
         }
     }
 
+    /// Updates `maxima` after the number of a point in leaf `leaf` has risen to `value`.
+    pub fn raise<T: Copy + PartialOrd>(&self, maxima: &mut [T], leaf: usize, value: T) {
+        let mut at = leaf;
+        while maxima[at] < value {
+            maxima[at] = value;
+            at = self.nodes[at].parent as usize;
+        }
+    }
+
     /// Calls `visit` with the number of every point whose KL divergence from `query` is `reach` or less, and that divergence, in
     /// no particular order. `stack` is working memory.
     pub fn within(&self, query: &[f32], reach: f32, stack: &mut Vec<u32>, mut visit: impl FnMut(usize, f32)) {
@@ -257,8 +266,10 @@ mod tests {
             let mut maxima = vec![9; tree.n_nodes()];
             let largest = |values: &[u32], at: usize| tree.numbers(at).iter().map(|&i| values[i as usize]).max();
             for (i, value) in changes.into_iter().map(|(i, value)| (i % count, value)) {
-                values[i] = value.min(values[i]);
                 let leaf = (0..tree.n_nodes()).find(|&at| tree.numbers(at).contains(&(i as u32))).unwrap();
+                if std::mem::replace(&mut values[i], value) < value {
+                    tree.raise(&mut maxima, leaf, value);
+                }
                 tree.lower(&mut maxima, leaf, largest(&values, leaf).unwrap());
             }
             for at in (0..tree.n_nodes()).rev() {
