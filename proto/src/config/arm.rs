@@ -3,11 +3,16 @@
 use super::{Algo, CombineKind, Config, DrawKind, GuideKind, SelectionRule};
 
 impl Config {
-    /// What guides exploration, if anything does. Actions are known only to algorithms that have a mentor.
+    /// What guides exploration, if anything does: never `auto`. Actions are known only to algorithms that have a mentor.
     pub fn guide(&self) -> Option<GuideKind> {
         let e = &self.exploration;
-        let acts = e.guide == GuideKind::Learned || self.run.algo.has_mentor();
-        (acts && (e.guide_start > 0.0 || e.guide_end > 0.0)).then_some(e.guide)
+        let guide = match e.guide {
+            GuideKind::Auto if self.run.algo == Algo::Trestle => GuideKind::Learned,
+            GuideKind::Auto => GuideKind::Known,
+            chosen => chosen,
+        };
+        let acts = guide == GuideKind::Learned || self.run.algo.has_mentor();
+        (acts && (e.guide_start > 0.0 || e.guide_end > 0.0)).then_some(guide)
     }
 
     /// Whether rewards are shaped.
@@ -50,7 +55,8 @@ impl Config {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::config::testing::with;
+    use crate::config::testing::{Two, with};
+    use crate::config::{load, to_toml};
 
     fn arm(sets: &[&str]) -> String {
         with("maze30", sets).unwrap().arm()
@@ -75,5 +81,20 @@ mod tests {
         let imitating = ["run.algo=ha-diiqn", "mentor.learned.imitate=1", learned[0], learned[1]];
         assert_eq!(arm(&imitating), "ha-diiqn+learned-bridges+imitation");
         assert_eq!(arm(&["run.algo=trestle"]), "trestle");
+    }
+
+    #[test]
+    fn a_stored_configuration_of_one_algorithm_serves_the_others() {
+        let stored = to_toml(&with("maze30", &["run.algo=trestle"]).unwrap());
+        let former = stored.replace("guide = \"auto\"", "guide = \"learned\"");
+        assert_ne!(stored, former);
+        for text in [&stored, &former] {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), text).unwrap();
+            let arm = |algo: &str| {
+                load(&Two, file.path().to_str().unwrap(), &[format!("run.algo={algo}")]).unwrap().arm()
+            };
+            assert_eq!(["trestle", "dqn", "ha-diiqn"].map(arm), ["trestle", "dqn", "ha-diiqn+guided"]);
+        }
     }
 }

@@ -1,4 +1,5 @@
-//! Configurations as version 0.1.0 wrote them: `[env]` had the settings of all environments side by side, and `kind` chose one.
+//! Configurations as they were written before. Version 0.1.0: `[env]` had the settings of all environments side by side, and
+//! `kind` chose one. Later, one of `trestle` named its guide, which went along when the file was used with another algorithm.
 
 use toml::{Table, Value};
 
@@ -10,8 +11,9 @@ const SHARED: [&str; 3] = ["step_limit", "encoding", "hazard"];
 /// Settings that are gone, by table.
 const REMOVED: [(&str, &str); 1] = [("supervise", "one_cpu")];
 
-/// Gives `config` today's form if it has the former one.
+/// Gives `config` today's form if it has a former one.
 pub(super) fn translate(config: &mut Table) {
+    free_guide(config);
     // Without it, a file that leaves the environment to its base or to the default reads the same in either form.
     let Some(Value::String(kind)) = config.get("env").and_then(|env| env.get("kind")).cloned() else {
         return;
@@ -42,4 +44,13 @@ pub(super) fn translate(config: &mut Table) {
     own.extend(inner);
     env.insert("name".into(), Value::String(kind.clone()));
     env.insert(kind, Value::Table(own));
+}
+
+/// `trestle` accepts one guide, so that its name says nothing there: other algorithms are not to take it over.
+fn free_guide(config: &mut Table) {
+    let of = |table: &str, key: &str| config.get(table)?.get(key)?.as_str();
+    if of("run", "algo") == Some("trestle") && of("exploration", "guide") == Some("learned") {
+        let exploration = config.get_mut("exploration").and_then(Value::as_table_mut);
+        exploration.map(|exploration| exploration.insert("guide".into(), "auto".into()));
+    }
 }

@@ -77,8 +77,8 @@ impl Config {
         let accepted = format!("0 with run.algo = {algo}");
         require(!(self.shaped() && algo.has_mentor()), "shaping.potential", potential, &accepted)?;
         let e = &self.exploration;
-        let learned = algo != Algo::Trestle || e.guide == GuideKind::Learned;
-        require(learned, "exploration.guide", e.guide, "learned with run.algo = trestle")?;
+        let learned = algo != Algo::Trestle || e.guide != GuideKind::Known;
+        require(learned, "exploration.guide", e.guide, "auto or learned with run.algo = trestle")?;
         let some = algo != Algo::Trestle || self.guide().is_some();
         let accepted = "above 0 with run.algo = trestle, or exploration.guide_end above 0";
         require(some, "exploration.guide_start", e.guide_start, accepted)?;

@@ -14,7 +14,6 @@ impl Algo {
 
 const TRESTLE: &str = r#"
 [exploration]
-guide = "learned"
 guide_start = 0.9
 guide_end = 0.0
 # The guide goes with ε.
@@ -35,7 +34,7 @@ mod tests {
         let exploration = |sets: &[&str]| with("maze30-tuned", sets).unwrap().exploration;
         let plain = exploration(&[]);
         let own = exploration(&["run.algo=trestle"]);
-        assert_eq!((plain.guide, own.guide), (GuideKind::Known, GuideKind::Learned));
+        assert_eq!((plain.guide, own.guide), (GuideKind::Auto, GuideKind::Auto));
         assert_eq!((own.guide_start, own.guide_decay_steps), (0.9, 0));
         // Whatever the order.
         assert_eq!(exploration(&["exploration.guide_start=0.5", "run.algo=trestle"]).guide_start, 0.5);
@@ -48,7 +47,7 @@ mod tests {
     fn trestle_without_its_guide_is_refused() {
         let refused = |set| with("maze30", &["run.algo=trestle", set]).unwrap_err().to_string();
         let guide = refused("exploration.guide=known");
-        assert_eq!(guide, "exploration.guide = known; accepted: learned with run.algo = trestle");
+        assert_eq!(guide, "exploration.guide = known; accepted: auto or learned with run.algo = trestle");
         assert!(
             refused("exploration.guide_start=0")
                 .starts_with("exploration.guide_start = 0; accepted: above 0")

@@ -17,7 +17,7 @@ settings! {
         /// (2018, "Distributed Prioritized Experience Replay") have 7.
         epsilon_spread: f64 = 0.0, between(0.0, 100.0);
         /// What guides exploration, which the paper does not have.
-        guide: GuideKind = GuideKind::Known;
+        guide: GuideKind = GuideKind::Auto;
         /// The share of the exploring steps, at the first step, that are guided.
         guide_start: f64 = 0.0, between(0.0, 1.0);
         /// That share from `guide_decay_steps` on.
@@ -34,6 +34,8 @@ choices! {
         Known = "known",
         /// A policy that leads along the mentor's path, learnt in hindsight from the observer's own steps: `[mentor.learned]`.
         Learned = "learned",
+        /// `learned` for `trestle`, and `known` for every other algorithm.
+        Auto = "auto",
     }
 }
 
