@@ -83,9 +83,11 @@ fn ticks(times: u64) -> Result<()> {
         let steps = experiment.config.run.rollout;
         let order = Collect { run: 1, round: number, env_steps, steps, ..Collect::default() };
         worker.collect(agent.acting(), &order, &mut batch)?;
-        mentor.observe(env_steps, 0, &batch, &mut observed)?;
-        agent.ingest(&batch, Some(&observed))?;
+        let checked = batch.check(&experiment.spaces())?;
+        mentor.observe(env_steps, checked.transitions(), &mut observed)?;
+        agent.ingest(&checked, Some(&observed))?;
         agent.train(|| ())?;
+        batch = checked.into_inner();
     }
     Ok(())
 }

@@ -28,6 +28,7 @@ mod cli;
 mod commands;
 mod export;
 mod flags;
+mod itself;
 mod prepare;
 mod program;
 mod reference;

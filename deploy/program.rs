@@ -2,26 +2,20 @@
 
 use crate::cli::Cli;
 use crate::commands;
+use crate::itself::{self, args};
 use crate::output::{say, words};
 use crate::prepare;
-use anyhow::{Context, Result};
 use clap::Parser;
 use std::env::args_os;
 use std::ffi::OsString;
-use std::os::unix::process::CommandExt;
-use std::process::{Command, ExitCode};
-use std::sync::OnceLock;
-use trestle_actor::env::{self, Identity, Kind, Registry, identify, install, registry};
-use trestle_proto::config;
+use std::process::ExitCode;
+use trestle_actor::env::{Identity, Kind, Registry, identify, install};
 
 /// The program `trestle` with the environments that a configuration can choose.
 pub struct Program {
     environments: Registry,
     again: Vec<String>,
 }
-
-/// The arguments of this process.
-static ARGS: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// What tells the sources that this was built from: 16 digits that another source would hardly have.
 pub const BUILD: &str = env!("TRESTLE_SOURCES");
@@ -66,7 +60,7 @@ impl Program {
             return 1;
         }
         let identity = Identity { build: BUILD, again };
-        if ARGS.set(args).is_err() || identify(identity).is_err() || install(environments).is_err() {
+        if !itself::begin(args) || identify(identity).is_err() || install(environments).is_err() {
             say("error: the program has been started in this process before");
             return 1;
         }
@@ -91,37 +85,4 @@ fn carry_out() -> u8 {
             1
         }
     }
-}
-
-/// The arguments of this process, its name first.
-pub(crate) fn args() -> &'static [OsString] {
-    ARGS.get().map_or(&[], Vec::as_slice)
-}
-
-/// The command that starts this program again; a subcommand is to be added.
-pub(crate) fn again() -> Command {
-    let mut command = command(&env::again());
-    if env::again().len() == 1 {
-        command.arg0(args().first().cloned().unwrap_or_default());
-    }
-    command
-}
-
-/// Goes on as the Trestle that can step the environment `env`, with the same arguments, where this one cannot.
-///
-/// # Errors
-/// It cannot be started.
-pub(crate) fn hand_over(env: &config::Env) -> Result<()> {
-    let foreign = registry().foreign(env).filter(|foreign| !foreign.here);
-    let Some(words) = foreign.and_then(|foreign| foreign.program) else { return Ok(()) };
-    let error = command(&words).args(args().iter().skip(1)).exec();
-    Err(error).with_context(|| format!("cannot start {}", words.join(" ")))
-}
-
-/// The program and the first arguments in `words`, of which there is one at least.
-pub(crate) fn command(words: &[String]) -> Command {
-    let mut words = words.iter();
-    let mut command = Command::new(words.next().map_or("", String::as_str));
-    command.args(words);
-    command
 }

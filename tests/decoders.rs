@@ -16,7 +16,7 @@ use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
 use trestle_proto::acting::{Acting, ActingHeader, OwnPlaces, Room};
 use trestle_proto::annotation::AnnotationTable;
-use trestle_proto::batch::{self, Batch, BatchHeader, KNOWN_FLAGS};
+use trestle_proto::batch::{self, Batch, BatchHeader, Checked, KNOWN_FLAGS, Spaces};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
 use trestle_proto::experiment::Experiment;
@@ -67,8 +67,9 @@ fn words(bytes: &[u8]) -> Vec<u32> {
 /// What arrives in shared memory.
 fn messages(bytes: &[u8]) {
     let (header, payload) = message::<BatchHeader>(bytes);
-    let mut batch = Batch::default();
-    if batch.receive(header, &payload, DIM, ACTIONS).is_ok() {
+    let (mut batch, spaces) =
+        (Checked::<Batch>::default(), Spaces { actors: 3, obs_dim: DIM, n_actions: ACTIONS });
+    if batch.receive(header, &payload, &spaces).is_ok() {
         for index in 0..batch.len() {
             let t = batch.transition(index);
             assert!(t.obs.iter().chain(t.next_obs).chain([&t.reward]).all(|x| x.is_finite()));
@@ -98,6 +99,7 @@ fn messages(bytes: &[u8]) {
     let mut parts = &payload[..];
     while let Some(part) = Part::take(&mut parts, DIM) {
         assert_eq!(part.payload.len(), batch::words(part.count as usize, DIM));
+        let _ = part.check(&spaces);
     }
     let _ = table.apply(&words(bytes));
     for j in 0..MENTOR {

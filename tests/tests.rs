@@ -24,6 +24,7 @@ mod hostile;
 mod leftovers;
 mod maps;
 mod mentors;
+mod modules;
 mod point_maze;
 mod prolong;
 mod query;

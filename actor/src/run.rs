@@ -3,8 +3,10 @@
 //! The loop is the same in lockstep and in free mode; in lockstep the orders grant one batch at a time. A learner may die
 //! and another take its place meanwhile: then the actor announces itself anew.
 
-use crate::worker::{ActorError, Worker};
+use crate::error::ActorError;
+use crate::worker::Worker;
 use std::time::{Duration, Instant};
+use trestle_algorithm::reference::Actor;
 use trestle_link::{ActorLink, LinkError, Stop, logging, pulse};
 use trestle_proto::batch::Batch;
 use trestle_proto::codec::{self, CodecError};
@@ -185,8 +187,7 @@ impl<L: ActorLink> Serving<'_, L> {
         };
         if let Work::Evaluation = work {
             let number = self.orders.evaluation - 1;
-            let mut evaluation = self.worker.evaluate(&acting.weights, number, self.orders.episodes)?;
-            evaluation.guide_return = self.worker.evaluate_guide(&acting.policy, number)?;
+            let evaluation = Actor::evaluate(self.worker, acting, number, self.orders.episodes)?;
             self.played = self.orders.evaluation;
             self.reply(self.played, EVALUATION, codec::encode(EVALUATION_KIND, &evaluation)?);
         } else {
@@ -231,6 +232,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::thread;
     use trestle_link::{FromActor, LearnerLink, local};
+    use trestle_proto::batch::Checked;
     use trestle_proto::incarnation::Incarnation;
     use trestle_proto::plan::Life;
 
@@ -249,7 +251,7 @@ mod tests {
                 run(&mut link, plan, &mut worker, &|| over.load(Ordering::Relaxed)).unwrap();
             });
             let announced = |learner: &mut local::LocalLearner| match learner
-                .recv(&mut Batch::default(), 100 * WAIT_SLICE)
+                .recv(&mut Checked::default(), 100 * WAIT_SLICE)
                 .unwrap()
                 .unwrap()
             {

@@ -12,7 +12,8 @@
 //! 8. [`replay`]: what a gradient step draws from;
 //! 9. [`agent`]: the gradient step and all that it changes;
 //! 10. [`learned_bridges`] (ours): a policy that leads back onto the mentor's path, learnt to explore;
-//! 11. [`rivals`]: other people's ways to learn from a mentor's states, to compare with.
+//! 11. [`rivals`]: other people's ways to learn from a mentor's states, to compare with;
+//! 12. [`reference`](mod@reference): all of this in one loop.
 
 pub mod agent;
 pub mod bridge;
@@ -22,6 +23,7 @@ pub mod inference;
 pub mod learned_bridges;
 pub mod losses;
 pub mod mentor;
+pub mod reference;
 pub mod replay;
 pub mod rivals;
 pub mod selection;

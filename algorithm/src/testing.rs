@@ -5,7 +5,9 @@
 use rand::{Rng, RngCore, SeedableRng};
 use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationTable, Bridge, Estimate};
-use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition};
+use trestle_proto::batch::{
+    Batch, BatchHeader, Checked, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Transition,
+};
 use trestle_proto::config::{Config, Table, from_table};
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::mentor::MentorTransitions;
@@ -101,7 +103,7 @@ impl World {
     }
 
     /// A batch of `count` transitions of `actor`, and the answer to it.
-    pub(crate) fn batch(&mut self, actor: u32, count: u32) -> (Batch, Option<Observed>) {
+    pub(crate) fn batch(&mut self, actor: u32, count: u32) -> (Checked<Batch>, Option<Observed>) {
         let mut batch = Batch::default();
         batch.prepare(BatchHeader { actor, count, obs_dim: 2, ..BatchHeader::default() });
         for index in 0..count as usize {
@@ -122,7 +124,7 @@ impl World {
             self.places[actor as usize] = (ends == 0).then_some(next_obs);
         }
         let observed = (self.experiment.mentor_len() > 0).then(|| self.answer(count));
-        (batch, observed)
+        (batch.check(&self.experiment.spaces()).unwrap(), observed)
     }
 
     fn answer(&mut self, count: u32) -> Observed {

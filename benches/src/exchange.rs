@@ -19,7 +19,7 @@ use trestle_bench::walk::World;
 use trestle_link::iceoryx::{Domain, HeldDomain, IceoryxLearner, Services};
 use trestle_link::{FromActor, LearnerLink};
 use trestle_proto::acting::{Acting, ActingHeader};
-use trestle_proto::batch::{Batch, BatchHeader, words};
+use trestle_proto::batch::{Batch, BatchHeader, Checked, words};
 use trestle_proto::config;
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Part};
@@ -146,7 +146,7 @@ pub(super) struct Learner {
     /// Transitions taken in.
     index: u64,
     /// The newest of each actor.
-    batches: Vec<Batch>,
+    batches: Vec<Checked<Batch>>,
     answers: Answers,
     interrupted: Arc<AtomicBool>,
 }
@@ -163,7 +163,7 @@ impl Learner {
             number: 0,
             version: 0,
             index: 0,
-            batches: vec![Batch::default(); plan.experiment.config.run.actors as usize],
+            batches: vec![Checked::default(); plan.experiment.config.run.actors as usize],
             answers: Answers::default(),
             interrupted,
             plan,
@@ -243,7 +243,7 @@ impl Exchange for SharedMemory {
             link.send_acting(orders.weights_version, &learner.acting)?;
         }
         link.send_orders(&orders)?;
-        let mut spare = Batch::default();
+        let mut spare = Checked::default();
         let mut missing = learner.batches.len() * learner.burst as usize;
         while missing > 0 {
             match link.recv(&mut spare, PATIENCE)? {
@@ -259,7 +259,7 @@ impl Exchange for SharedMemory {
         }
         if !learner.plan.experiment.mentors.is_empty() {
             let question = learner.question();
-            let parts: Vec<Part<'_>> = learner.batches.iter().map(Part::of).collect();
+            let parts: Vec<Part<'_>> = learner.batches.iter().map(|batch| Part::of(batch)).collect();
             link.observe(&question, &parts, &mut learner.answers)?;
         }
         Ok(())
@@ -306,20 +306,19 @@ impl Exchange for Sockets {
                 actor.write_all(cast_slice(&learner.acting.weights))?;
             }
         }
-        let (obs_dim, n_actions) =
-            (learner.plan.experiment.spec.obs_dim(), learner.plan.experiment.spec.n_actions());
+        let (spaces, obs_dim) = (learner.plan.experiment.spaces(), learner.plan.experiment.spec.obs_dim());
         for (actor, batch) in actors.iter_mut().zip(&mut learner.batches) {
             for _ in 0..learner.burst {
                 let mut header = BatchHeader::default();
                 actor.read_exact(bytes_of_mut(&mut header))?;
                 payload.resize(words(header.count as usize, header.obs_dim as usize), 0);
                 actor.read_exact(cast_slice_mut(payload))?;
-                batch.receive(header, payload, obs_dim, n_actions)?;
+                batch.receive(header, payload, &spaces)?;
             }
         }
         if let Some(mentor) = mentor {
             let question = learner.question();
-            let parts: Vec<Part<'_>> = learner.batches.iter().map(Part::of).collect();
+            let parts: Vec<Part<'_>> = learner.batches.iter().map(|batch| Part::of(batch)).collect();
             payload.clear();
             parts.iter().for_each(|part| payload.extend(part.header().iter().chain(part.payload)));
             mentor.write_all(bytes_of(&question))?;

@@ -235,14 +235,19 @@ impl<'a> Observer<'a> {
     /// Takes `count` more transitions in; returns the time that the searches took.
     fn search(&mut self, count: usize) -> Duration {
         let Self { walk, history, graph, metric, table, path, scratch, search } = self;
-        let mut taken = Duration::ZERO;
+        let (mut taken, mut stack) = (Duration::ZERO, Vec::new());
+        let (mut starts, mut ends) = (Vec::new(), Vec::new());
         for _ in 0..count {
             let (index, news) = store(history, Some(graph), metric, 0, &walk.step());
             let start = Instant::now();
             let (states, oldest) = (&history.states, history.oldest());
-            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
+            let t = history.get(index);
+            path.similarity.states(states.whitened(t.from), &mut stack, &mut starts);
+            path.similarity.states(states.whitened(t.to), &mut stack, &mut ends);
+            let (starts, ends) = (starts.as_slice(), ends.as_slice());
+            let new = Arrival { states, graph, t, index, oldest, news, starts, ends };
             if !search.run(&new, path, table, |_| {}) {
-                straight::search(history, index, path, table, scratch, |_| {});
+                straight::search(history, index, [starts, ends], path, table, scratch, |_| {});
             }
             taken += start.elapsed();
         }

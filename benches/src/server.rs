@@ -3,7 +3,7 @@
 use crate::walk::{Walk, World};
 use anyhow::Result;
 use trestle_algorithm::mentor::Mentor;
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Checked, Spaces};
 use trestle_proto::config::{self, Algo};
 use trestle_proto::observe::Observed;
 
@@ -17,7 +17,8 @@ const MENTOR: usize = 10_000;
 pub struct Server {
     mentor: Mentor,
     walk: Walk,
-    batch: Batch,
+    batch: Checked<Batch>,
+    spaces: Spaces,
     observed: Observed,
     index: u64,
 }
@@ -31,17 +32,20 @@ impl Server {
         Ok(Self {
             mentor: Mentor::new(&demonstration, &settings, Algo::HaDiiqn, &world.spec(), stored, 1)?,
             walk: world.walk(),
-            batch: Batch::default(),
+            batch: Checked::default(),
+            spaces: Spaces { actors: 1, obs_dim: DIM, n_actions: world.spec().n_actions() },
             observed: Observed::default(),
             index: 0,
         })
     }
 
     /// Has the observer take [`BATCH`] steps and hands them over. Returns them with the answer.
-    pub fn observe(&mut self) -> Result<(&Batch, &Observed)> {
+    pub fn observe(&mut self) -> Result<(&Checked<Batch>, &Observed)> {
         let header = BatchHeader { count: BATCH, obs_dim: DIM as u32, ..BatchHeader::default() };
-        self.walk.fill(header, &mut self.batch);
-        self.mentor.observe(self.index, 0, &self.batch, &mut self.observed)?;
+        let mut batch = std::mem::take(&mut self.batch).into_inner();
+        self.walk.fill(header, &mut batch);
+        self.batch = batch.check(&self.spaces)?;
+        self.mentor.observe(self.index, self.batch.transitions(), &mut self.observed)?;
         self.index += u64::from(BATCH);
         Ok((&self.batch, &self.observed))
     }

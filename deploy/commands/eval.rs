@@ -2,9 +2,9 @@
 
 use super::picture::{self, Episode};
 use crate::cli::{Eval, Which};
+use crate::itself;
 use crate::output::say;
 use crate::prepare;
-use crate::program;
 use crate::status::ExitCode;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result, bail};
@@ -52,7 +52,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     }
     let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
     let experiment = read_experiment(&dir)?;
-    program::hand_over(&experiment.config.env)?;
+    itself::hand_over(&experiment.config.env)?;
     let (layout, _) = trestle_qnet::network_of(&experiment)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;
     // The map and the network are made: only the random streams of the evaluation go by the seed from here on.

@@ -2,8 +2,8 @@
 //! services a supervisor holds.
 
 use crate::cli::{ActorRole, Role};
+use crate::itself;
 use crate::output::say;
-use crate::program;
 use crate::status::{ExitCode, LOST_PEER, ORPHANED, TOLD};
 use crate::supervise::asking;
 use anyhow::{Context, Result};
@@ -111,7 +111,7 @@ fn leave_with_supervisor(
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
-    let error = program::again().arg("orphaned").arg(domain.run().to_string()).exec();
+    let error = itself::again().arg("orphaned").arg(domain.run().to_string()).exec();
     tracing::error!("cannot begin anew: {error}");
     std::process::exit(ORPHANED.into());
 }

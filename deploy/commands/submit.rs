@@ -1,9 +1,9 @@
 //! `trestle sweep --submit`
 
 use crate::cli::{Scheduler, Sweep as Args};
+use crate::itself;
 use crate::output::say;
 use crate::prepare::Needs;
-use crate::program;
 use crate::status::ExitCode;
 use crate::submit::kubernetes::{self, without};
 use crate::submit::options::Options;
@@ -99,7 +99,7 @@ fn to_kubernetes(args: &Args, manifest: &Manifest, suite: Option<&Suite>, needs:
         "--submit kubernetes {}; accepted: a preset or a configuration file, and --seeds",
         if suite.is_some() { format!("with {SUITE}") } else { "without a configuration".into() }
     );
-    let typed: Vec<String> = program::args()
+    let typed: Vec<String> = itself::args()
         .iter()
         .skip_while(|arg| *arg != "sweep")
         .skip(1)

@@ -1,7 +1,7 @@
 //! `trestle sync`: the trackers' own libraries are Python's, so the Python package sends what is in the files of runs.
 
 use crate::cli::Sync;
-use crate::program::command;
+use crate::itself::command;
 use crate::status::ExitCode;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result, bail, ensure};

@@ -2,8 +2,8 @@
 
 use super::watch;
 use crate::cli::{Beside, Train};
+use crate::itself;
 use crate::prepare::{self, Existing};
-use crate::program;
 use crate::reference;
 use crate::status::{ExitCode, INTERRUPTED};
 use crate::supervise::{self, Ended, HeldSignals};
@@ -89,7 +89,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     }
     let mode = config.run.mode;
     if mode == config::Mode::Reference {
-        program::hand_over(&config.env)?;
+        itself::hand_over(&config.env)?;
     }
     let resolved = match existing {
         Existing::Resume => prepare::resolve_run(root, &config)?,

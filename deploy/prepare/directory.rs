@@ -7,9 +7,9 @@ use super::fence::Fence;
 use super::ground::map_file;
 use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
-use super::states::{clear_unborn, discard, is_unborn, move_aside, remove_temporaries};
+use super::states::{clear_unborn, discard, empty, is_unborn, move_aside, remove_temporaries};
 use crate::build_info::BuildInfo;
-use crate::program;
+use crate::itself;
 use anyhow::{Context, Result, bail, ensure};
 use rustix::rand::{GetRandomFlags, getrandom};
 use std::cell::Cell;
@@ -322,7 +322,7 @@ impl Prepared {
         let dir = &self.dir;
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
         save(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
-        let command: Vec<String> = program::args().iter().map(|arg| quoted(&arg.to_string_lossy())).collect();
+        let command: Vec<String> = itself::args().iter().map(|arg| quoted(&arg.to_string_lossy())).collect();
         let former = if self.fresh { String::new() } else { former_commands(dir) };
         save(&dir.command(), format!("{former}{}\n", command.join(" ")).as_bytes())?;
         if let Some(map) = map_file(&resolved.config.env)? {
@@ -399,19 +399,6 @@ fn former_commands(dir: &RunDir) -> String {
 fn save(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomically(path, Durable::Now, |file| file.write_all(bytes))
         .with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// Removes all that is in `dir`.
-pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
-    for entry in fs::read_dir(dir)? {
-        let entry = entry?;
-        if entry.file_type()?.is_dir() {
-            fs::remove_dir_all(entry.path())?
-        } else {
-            fs::remove_file(entry.path())?
-        }
-    }
-    Ok(())
 }
 
 /// Whether there is anything at `path` that a new run would disturb.

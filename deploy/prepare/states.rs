@@ -6,7 +6,6 @@
 //!   got as far as a checkpoint or a result.
 //! - *Removed*: `.NAME.removed-PID` is what was on its way out.
 
-use super::directory::empty;
 use super::fence::try_lock;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
@@ -68,6 +67,19 @@ pub(super) fn remove_temporaries(root: &Path) -> Result<()> {
                 let path = entry.path();
                 fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
             }
+        }
+    }
+    Ok(())
+}
+
+/// Removes all that is in `dir`.
+pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            fs::remove_dir_all(entry.path())?
+        } else {
+            fs::remove_file(entry.path())?
         }
     }
     Ok(())

@@ -7,8 +7,6 @@ pub(crate) mod slurm;
 
 use crate::sweep::{Job, Outcome, finished};
 
-/// The directory of job files and logs in the sweep's directory.
-pub(crate) const SUBMIT: &str = "submit";
 /// Tasks of a sweep, at most: SLURM's own limit unless its administrator has raised it.
 const MAX_TASKS: usize = 1000;
 

@@ -4,9 +4,10 @@
 //! from there. `scancel` sends SIGTERM: the runs save, and the task is over.
 
 use super::options::Options;
-use super::{SUBMIT, tasks};
+use super::tasks;
 use crate::output::say;
 use crate::prepare::quoted;
+use crate::sweep::arms::SUBMIT;
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
 use std::io::Write;

@@ -7,8 +7,8 @@
 
 use super::Report;
 use super::line::{Fault, Line};
+use crate::itself;
 use crate::prepare::Prepared;
-use crate::program;
 use crate::status::LOST_PEER;
 use anyhow::{Context, Result};
 use nix::errno::Errno;
@@ -165,7 +165,7 @@ pub(super) fn start(
         Role::Learner | Role::MentorServer => None,
     };
     let elsewhere = foreign.as_ref().and_then(|foreign| foreign.program.as_deref());
-    let mut command = Command::from(elsewhere.map_or_else(program::again, program::command));
+    let mut command = Command::from(elsewhere.map_or_else(itself::again, itself::command));
     if let Some(foreign) = &foreign {
         command.envs(foreign.variables.iter().copied());
     }

@@ -1,6 +1,5 @@
 //! The arms of a sweep: algorithms as they are, and settings with a name.
 
-use crate::submit::SUBMIT;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -8,6 +7,8 @@ use trestle_proto::config::{Algo, Choice, RivalKind};
 use trestle_proto::names;
 use trestle_suite::set::{MAX_NAME, is_plain};
 
+/// The directory of a scheduler's job files and logs in the sweep's directory.
+pub(crate) const SUBMIT: &str = "submit";
 /// Directories of a sweep that hold something else: those of its report, and of the jobs that a scheduler got.
 const RESERVED: [&str; 2] = ["report", SUBMIT];
 /// Arms of a sweep, at most.

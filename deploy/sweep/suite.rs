@@ -9,7 +9,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use trestle_mentor_server::demo_file;
 use trestle_proto::rundir::{Durable, write_atomically};
-use trestle_suite::set::{Task, TaskSet, map_text, matches};
+use trestle_suite::mentor::map_text;
+use trestle_suite::set::{Task, TaskSet, matches};
 
 /// What stands for a suite in the place of a configuration.
 pub(crate) const SUITE: &str = "suite";

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use trestle_link::{FromActor, LearnerLink, LinkError, Stop, logging, pulse};
 use trestle_proto::acting::Acting;
 use trestle_proto::annotation::record_words;
-use trestle_proto::batch::Batch;
+use trestle_proto::batch::{Batch, Checked};
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::config::Mode;
 use trestle_proto::incarnation::Incarnation;
@@ -109,7 +109,7 @@ struct Seat {
 
 /// What has come for the round under way, in the order in which it counts.
 enum Came {
-    Batch(Batch),
+    Batch(Checked<Batch>),
     /// An actor of free mode has announced itself.
     Joined {
         actor: u32,
@@ -125,7 +125,7 @@ struct Loop<'a, L> {
     barrier: bool,
     came: Vec<Came>,
     /// Batches whose memory is free.
-    spare: Vec<Batch>,
+    spare: Vec<Checked<Batch>>,
     answers: Answers,
     /// None until the actor has announced itself.
     seats: Vec<Option<Seat>>,
@@ -154,7 +154,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         Self {
             barrier,
             came: pending.into_iter().map(Came::Batch).collect(),
-            spare: vec![Batch::with_capacity(run.rollout as usize, experiment.spec.obs_dim()); actors],
+            spare: vec![Checked::with_capacity(run.rollout as usize, experiment.spec.obs_dim()); actors],
             answers: Answers::default(),
             seats: vec![seat; actors],
             orders: Orders { run: life.run, generation: life.generation, ..Orders::default() },
@@ -622,7 +622,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
 /// The batches of a round, in order.
 fn batches(came: &[Came]) -> impl Iterator<Item = &Batch> {
     came.iter().filter_map(|came| match came {
-        Came::Batch(batch) => Some(batch),
+        Came::Batch(batch) => Some(&**batch),
         Came::Joined { .. } => None,
     })
 }

@@ -36,7 +36,7 @@ impl Played<'_> {
 
     /// Sends a batch whose first transition has number `first_seq`.
     fn sends(&mut self, incarnation: u32, first_seq: u64, count: u32) {
-        let (mut batch, _) = self.world.batch(self.index, count);
+        let mut batch = self.world.batch(self.index, count).0.into_inner();
         let run = self.plan.life.run;
         batch.header = BatchHeader { run, incarnation: incarnation.into(), first_seq, ..batch.header };
         self.link.send_batch(&batch).unwrap();
@@ -210,7 +210,7 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
     for (round, flags) in [(1, TERMINATED), (2, 0), (3, 0)] {
         batch.prepare(BatchHeader { count: 1, obs_dim: 2, ..BatchHeader::default() });
         batch.set(0, &Transition { obs: &[0.0; 2], next_obs: &[0.0; 2], action: 0, reward: 0.0, flags });
-        session.ingest(&batch, None).unwrap();
+        session.ingest(&batch.clone().check(&plan.experiment.spaces()).unwrap(), None).unwrap();
         session.train(round).unwrap();
     }
     let (number, _) = session.evaluate().unwrap();

@@ -15,16 +15,16 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::time::{Duration, Instant};
 use trestle_algorithm::agent::{Agent, AgentError, Counters, Episode, TrainStats};
+use trestle_algorithm::reference;
 use trestle_link::pulse;
 use trestle_proto::acting::Acting;
-use trestle_proto::batch::{Batch, Tally};
+use trestle_proto::batch::{Batch, Checked, Tally};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{GuideKind, Mode};
 use trestle_proto::experiment::Experiment;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
-use trestle_proto::orders::Collect;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::Evaluation;
 use trestle_proto::rundir::RunDir;
@@ -144,7 +144,38 @@ pub struct Resumed<'a> {
     /// What the actors act with in the next tick, where it is not the agent's newest.
     pub behaviour: Option<Acting>,
     /// The batches of the next tick, if they have come.
-    pub pending: Vec<Batch>,
+    pub pending: Vec<Checked<Batch>>,
+}
+
+impl reference::Learner for Session<'_> {
+    type Error = SessionError;
+
+    fn agent(&self) -> &Agent {
+        Self::agent(self)
+    }
+
+    fn done(&self) -> bool {
+        Self::done(self)
+    }
+
+    fn ingest(&mut self, batch: &Checked<Batch>, observed: Option<&Observed>) -> Result<(), SessionError> {
+        Self::ingest(self, batch, observed).map(|_| ())
+    }
+
+    fn train(&mut self, tick: u64) -> Result<(), SessionError> {
+        Self::train(self, tick)
+    }
+
+    fn evaluation_due(&mut self) -> Option<(u64, u32)> {
+        if Self::done(self) {
+            self.request_final_evaluation();
+        }
+        self.evaluate()
+    }
+
+    fn evaluated(&mut self, evaluation: &Evaluation) -> Result<(), SessionError> {
+        Self::evaluated(self, evaluation)
+    }
 }
 
 impl<'a> Session<'a> {
@@ -246,18 +277,6 @@ impl<'a> Session<'a> {
         self.tick
     }
 
-    /// The work that makes the actors collect for tick `number` with weights `version`.
-    pub fn collect(&self, number: u64, version: u64) -> Collect {
-        Collect {
-            run: self.life.run,
-            round: number,
-            weights_version: version,
-            // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
-            env_steps: (number - 1) * self.experiment.steps_per_tick(),
-            steps: self.experiment.config.run.rollout,
-        }
-    }
-
     /// Number, from 0, and episodes of the evaluation that is due, if one is. It is to be asked for at once, and answered
     /// before the next one becomes due for the second time.
     pub fn evaluate(&mut self) -> Option<(u64, u32)> {
@@ -274,7 +293,11 @@ impl<'a> Session<'a> {
 
     /// Takes one actor's batch in; the batches of a tick come in the order of the actors. Returns how many transitions
     /// were counted: fewer than the batch has only where the run ended within it.
-    pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<usize, SessionError> {
+    pub fn ingest(
+        &mut self,
+        batch: &Checked<Batch>,
+        observed: Option<&Observed>,
+    ) -> Result<usize, SessionError> {
         let ingested = self.agent.ingest(batch, observed)?;
         self.guide.iter_mut().for_each(|sum| sum.merge(&batch.header.guide));
         for finished in ingested.finished {

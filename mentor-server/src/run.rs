@@ -5,7 +5,7 @@ use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::mentor::{Mentor, MentorError};
 use trestle_link::{LinkError, MentorHandler, MentorLink, Stop};
 use trestle_link::{logging, pulse};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Checked, Spaces, Transitions};
 use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part, REBUILD, RESTORE};
@@ -50,9 +50,7 @@ pub fn run(
         mentor: mentor_of(experiment, demonstration)?,
         experiment,
         demonstration,
-        obs_dim: experiment.spec.obs_dim(),
-        n_actions: experiment.spec.n_actions(),
-        batch: Batch::default(),
+        spaces: experiment.spaces(),
         observed: Observed::default(),
         cut_short: 0,
     };
@@ -70,9 +68,7 @@ struct Server<'a> {
     mentor: Mentor,
     experiment: &'a Experiment,
     demonstration: &'a Demonstration,
-    obs_dim: usize,
-    n_actions: usize,
-    batch: Batch,
+    spaces: Spaces,
     observed: Observed,
     /// Searches for bridges that have met their limit.
     cut_short: u64,
@@ -91,20 +87,18 @@ impl Server<'_> {
         }
         let (mut first, mut cut_short) = (request.first_index, 0);
         for _ in 0..request.count {
-            let part = Part::take(&mut payload, self.obs_dim).ok_or_else(|| {
+            let part = Part::take(&mut payload, self.spaces.obs_dim).ok_or_else(|| {
                 tracing::warn!("refused: a request whose parts do not fit its {} words", payload.len());
                 MALFORMED
             })?;
-            self.take_part(request, &part)?;
+            let transitions = self.check(&part)?;
             match request.op {
                 OBSERVE => {
-                    self.mentor
-                        .observe(first, part.actor, &self.batch, &mut self.observed)
-                        .map_err(|e| refuse(&e))?;
-                    self.observed.encode(self.obs_dim, out);
+                    self.mentor.observe(first, transitions, &mut self.observed).map_err(|e| refuse(&e))?;
+                    self.observed.encode(self.spaces.obs_dim, out);
                     cut_short += self.observed.cut_short;
                 }
-                REBUILD => self.mentor.rebuild(first, part.actor, &self.batch).map_err(|e| refuse(&e))?,
+                REBUILD => self.mentor.rebuild(first, transitions).map_err(|e| refuse(&e))?,
                 _ => return Err(UNKNOWN_OP),
             }
             first += u64::from(part.count);
@@ -113,17 +107,9 @@ impl Server<'_> {
         if payload.is_empty() { Ok(cut_short) } else { Err(MALFORMED) }
     }
 
-    /// Copies and checks the transitions of one part.
-    fn take_part(&mut self, request: &ObserveRequest, part: &Part<'_>) -> Result<(), u32> {
-        let header = BatchHeader {
-            run: request.run,
-            round: request.round,
-            actor: part.actor,
-            count: part.count,
-            obs_dim: request.obs_dim,
-            ..BatchHeader::default()
-        };
-        self.batch.receive(header, part.payload, self.obs_dim, self.n_actions).map_err(|e| {
+    /// The transitions of one part, checked where they lie: the request is a private copy.
+    fn check<'p>(&self, part: &Part<'p>) -> Result<Checked<Transitions<'p>>, u32> {
+        part.check(&self.spaces).map_err(|e| {
             tracing::warn!("refused: {e}");
             MALFORMED
         })
@@ -145,7 +131,7 @@ impl Server<'_> {
 
     fn try_query(&mut self, request: &QueryRequest, state: &[f32], out: &mut Vec<u32>) -> Result<u32, u32> {
         let about_a_state = matches!(request.op, SIMILAR | BRIDGE);
-        let wanted = if about_a_state { self.obs_dim } else { 0 };
+        let wanted = if about_a_state { self.spaces.obs_dim } else { 0 };
         if state.len() != wanted || state.iter().any(|x| !x.is_finite()) {
             return Err(MALFORMED);
         }

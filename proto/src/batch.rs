@@ -15,6 +15,7 @@ use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use serde::{Deserialize, Serialize};
+use std::ops::Deref;
 
 /// The episode ended in a terminal state: its value is 0.
 pub const TERMINATED: u32 = 1;
@@ -87,9 +88,28 @@ impl Message for BatchHeader {
     const TYPE_NAME: &'static str = "trestle.BatchHeader.v3";
 }
 
+/// What a run's transitions can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Spaces {
+    /// Actors of the run.
+    pub actors: u32,
+    /// Features of an observation.
+    pub obs_dim: usize,
+    /// Size of the action space, 1 or more.
+    pub n_actions: usize,
+}
+
 /// A batch whose header, size or contents cannot be right.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BatchError {
+    /// The run has no such actor.
+    #[error("batch of actor {actor}; this run has {actors}")]
+    Actor {
+        /// The sender.
+        actor: u32,
+        /// Actors of the run.
+        actors: u32,
+    },
     /// The number of transitions is out of range.
     #[error("batch of actor {actor} has {count} transitions; accepted: 1 to {MAX_ROLLOUT}")]
     Count {
@@ -184,8 +204,7 @@ impl Transition<'_> {
     }
 }
 
-/// A batch in private memory: filled by an actor, or copied from shared memory and checked at the door (a copy,
-/// because a peer could still write to what it has sent).
+/// A batch in private memory. An actor fills it; one that comes from elsewhere is a [`Checked`] one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
     /// The header that travels with it.
@@ -218,55 +237,20 @@ impl Batch {
         rest[2 * n + index] = transition.flags;
     }
 
-    /// Copies what a peer sent and checks all of it. On an error the batch holds nothing usable.
-    pub fn receive(
-        &mut self,
-        header: BatchHeader,
-        payload: &[u32],
-        obs_dim: usize,
-        n_actions: usize,
-    ) -> Result<(), BatchError> {
-        let actor = header.actor;
-        if header.count == 0 || header.count > MAX_ROLLOUT {
-            return Err(BatchError::Count { actor, count: header.count });
-        }
-        if header.obs_dim as usize != obs_dim {
-            return Err(BatchError::ObsDim { actor, found: header.obs_dim, expected: obs_dim });
-        }
-        let expected = words(header.count as usize, obs_dim);
-        if payload.len() != expected {
-            return Err(BatchError::Size { actor, found: payload.len(), expected });
-        }
-        self.header = header;
-        self.payload.clear();
-        self.payload.extend_from_slice(payload);
-        self.validate(n_actions)
+    /// Checks all of it, as [`Checked::receive`] does with what a peer sends.
+    ///
+    /// # Errors
+    /// Sizes or contents that are not of a run with these `spaces`.
+    pub fn check(self, spaces: &Spaces) -> Result<Checked<Self>, BatchError> {
+        check_header(&self.header, self.payload.len(), spaces)?;
+        self.transitions().validate(spaces)?;
+        Ok(Checked(self))
     }
 
-    fn validate(&self, n_actions: usize) -> Result<(), BatchError> {
-        let actor = self.header.actor;
-        for index in 0..self.len() {
-            let t = self.transition(index);
-            let fault = if !t.obs.iter().all(|x| x.is_finite()) {
-                Some("observation")
-            } else if !t.next_obs.iter().all(|x| x.is_finite()) {
-                Some("next observation")
-            } else if !t.reward.is_finite() {
-                Some("reward")
-            } else {
-                None
-            };
-            if let Some(what) = fault {
-                return Err(BatchError::NotFinite { actor, index, what });
-            }
-            if t.action as usize >= n_actions {
-                return Err(BatchError::Action { actor, index, action: t.action, last: n_actions - 1 });
-            }
-            if t.flags & !KNOWN_FLAGS != 0 {
-                return Err(BatchError::Flags { actor, index, flags: t.flags });
-            }
-        }
-        Ok(())
+    /// Its transitions, by reference.
+    pub fn transitions(&self) -> Transitions<'_> {
+        let BatchHeader { actor, count, obs_dim, .. } = self.header;
+        Transitions { actor, count: count as usize, obs_dim: obs_dim as usize, payload: &self.payload }
     }
 
     /// Number of transitions.
@@ -289,48 +273,155 @@ impl Batch {
         &self.payload
     }
 
-    /// All observations s, `len * obs_dim`, row-major.
-    pub fn observations(&self) -> &[f32] {
-        cast_slice(&self.payload[..self.len() * self.obs_dim()])
-    }
-
-    /// All next observations s', `len * obs_dim`, row-major.
-    pub fn next_observations(&self) -> &[f32] {
-        let n = self.len() * self.obs_dim();
-        cast_slice(&self.payload[n..2 * n])
-    }
-
-    /// All actions, `len`.
-    pub fn actions(&self) -> &[u32] {
-        &self.payload[self.tail(0)..self.tail(1)]
-    }
-
-    /// All rewards, `len`.
-    pub fn rewards(&self) -> &[f32] {
-        cast_slice(&self.payload[self.tail(1)..self.tail(2)])
-    }
-
-    /// All flags, `len`.
-    pub fn flags(&self) -> &[u32] {
-        &self.payload[self.tail(2)..self.tail(3)]
-    }
-
-    /// Where the `part`-th of the per-transition arrays begins.
-    fn tail(&self, part: usize) -> usize {
-        self.len() * (2 * self.obs_dim() + part)
-    }
-
     /// Transition `index`, below [`Batch::len`].
     pub fn transition(&self, index: usize) -> Transition<'_> {
-        let d = self.obs_dim();
-        Transition {
-            obs: &self.observations()[index * d..][..d],
-            next_obs: &self.next_observations()[index * d..][..d],
-            action: self.actions()[index],
-            reward: self.rewards()[index],
-            flags: self.flags()[index],
-        }
+        self.transitions().get(index)
     }
+}
+
+/// Consecutive transitions of one actor, wherever their memory is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transitions<'a> {
+    /// Index of the actor, from 0.
+    pub actor: u32,
+    count: usize,
+    obs_dim: usize,
+    payload: &'a [u32],
+}
+
+impl<'a> Transitions<'a> {
+    /// The `count` transitions in `payload`, which has [`words`] for them.
+    pub(crate) fn new(actor: u32, count: usize, obs_dim: usize, payload: &'a [u32]) -> Self {
+        Self { actor, count, obs_dim, payload }
+    }
+
+    /// Checks all of them.
+    ///
+    /// # Errors
+    /// The first number that is not of a run with these `spaces`.
+    pub(crate) fn check(self, spaces: &Spaces) -> Result<Checked<Self>, BatchError> {
+        let (count, obs_dim) = (self.count as u32, self.obs_dim as u32);
+        let header = BatchHeader { actor: self.actor, count, obs_dim, ..BatchHeader::default() };
+        check_header(&header, self.payload.len(), spaces)?;
+        self.validate(spaces)?;
+        Ok(Checked(self))
+    }
+
+    /// Number of transitions.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Transition `index`, below [`Transitions::len`].
+    pub fn get(&self, index: usize) -> Transition<'a> {
+        let (n, d) = (self.count, self.obs_dim);
+        let [obs, next_obs] = [index * d, (n + index) * d].map(|at| cast_slice(&self.payload[at..][..d]));
+        let tail = &self.payload[2 * n * d..];
+        let (action, reward, flags) = (tail[index], f32::from_bits(tail[n + index]), tail[2 * n + index]);
+        Transition { obs, next_obs, action, reward, flags }
+    }
+
+    fn validate(&self, spaces: &Spaces) -> Result<(), BatchError> {
+        let actor = self.actor;
+        for index in 0..self.len() {
+            let t = self.get(index);
+            let fault = if !t.obs.iter().all(|x| x.is_finite()) {
+                Some("observation")
+            } else if !t.next_obs.iter().all(|x| x.is_finite()) {
+                Some("next observation")
+            } else if !t.reward.is_finite() {
+                Some("reward")
+            } else {
+                None
+            };
+            if let Some(what) = fault {
+                return Err(BatchError::NotFinite { actor, index, what });
+            }
+            if t.action as usize >= spaces.n_actions {
+                return Err(BatchError::Action {
+                    actor,
+                    index,
+                    action: t.action,
+                    last: spaces.n_actions - 1,
+                });
+            }
+            if t.flags & !KNOWN_FLAGS != 0 {
+                return Err(BatchError::Flags { actor, index, flags: t.flags });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Transitions of which everything has been checked against a run's [`Spaces`]: sizes, actor, actions, flags, and that all
+/// numbers are finite. Only this module makes one, so nobody further inside needs to check again.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Checked<T>(T);
+
+impl<T> Deref for Checked<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl Checked<Batch> {
+    /// An empty batch with room for `count` transitions of `obs_dim` features.
+    pub fn with_capacity(count: usize, obs_dim: usize) -> Self {
+        Self(Batch::with_capacity(count, obs_dim))
+    }
+
+    /// Copies what a peer sent and checks all of it. On an error the batch is empty.
+    ///
+    /// # Errors
+    /// Sizes or contents that are not of a run with these `spaces`.
+    pub fn receive(
+        &mut self,
+        header: BatchHeader,
+        payload: &[u32],
+        spaces: &Spaces,
+    ) -> Result<(), BatchError> {
+        self.0.prepare(BatchHeader::default());
+        check_header(&header, payload.len(), spaces)?;
+        self.0.header = header;
+        self.0.payload.extend_from_slice(payload);
+        let sound = self.0.transitions().validate(spaces);
+        if sound.is_err() {
+            self.0.prepare(BatchHeader::default());
+        }
+        sound
+    }
+
+    /// Its transitions, by reference.
+    pub fn transitions(&self) -> Checked<Transitions<'_>> {
+        Checked(self.0.transitions())
+    }
+
+    /// The batch, to be written again.
+    pub fn into_inner(self) -> Batch {
+        self.0
+    }
+}
+
+fn check_header(header: &BatchHeader, found: usize, spaces: &Spaces) -> Result<(), BatchError> {
+    let BatchHeader { actor, count, obs_dim, .. } = *header;
+    if actor >= spaces.actors {
+        return Err(BatchError::Actor { actor, actors: spaces.actors });
+    }
+    if count == 0 || count > MAX_ROLLOUT {
+        return Err(BatchError::Count { actor, count });
+    }
+    if obs_dim as usize != spaces.obs_dim {
+        return Err(BatchError::ObsDim { actor, found: obs_dim, expected: spaces.obs_dim });
+    }
+    let expected = words(count as usize, spaces.obs_dim);
+    if found != expected { Err(BatchError::Size { actor, found, expected }) } else { Ok(()) }
 }
 
 #[cfg(test)]
@@ -338,6 +429,8 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use proptest::prelude::*;
+
+    const SPACES: Spaces = Spaces { actors: 2, obs_dim: 2, n_actions: 4 };
 
     fn sample(count: u32, obs_dim: u32) -> Batch {
         let mut batch = Batch::default();
@@ -357,9 +450,10 @@ mod tests {
     #[test]
     fn what_is_sent_arrives() {
         let sent = sample(5, 3);
-        let mut got = Batch::default();
-        got.receive(sent.header, sent.payload(), 3, 4).unwrap();
-        assert_eq!(got, sent);
+        let mut got = Checked::<Batch>::default();
+        got.receive(sent.header, sent.payload(), &Spaces { obs_dim: 3, ..SPACES }).unwrap();
+        assert_eq!(*got, sent);
+        assert_eq!(sent.clone().check(&Spaces { obs_dim: 3, ..SPACES }).unwrap(), got);
         let last = got.transition(4);
         assert_eq!(last.obs, [400.0, 401.0, 402.0]);
         assert_eq!(last.next_obs, [400.5, 401.5, 402.5]);
@@ -369,12 +463,18 @@ mod tests {
     #[test]
     fn each_fault_is_named() {
         let sent = sample(2, 2);
-        let mut got = Batch::default();
+        let mut got = Checked::<Batch>::default();
         let mut check = |edit: &dyn Fn(&mut BatchHeader, &mut Vec<u32>)| {
             let (mut header, mut payload) = (sent.header, sent.payload().to_vec());
             edit(&mut header, &mut payload);
-            got.receive(header, &payload, 2, 4).unwrap_err().to_string()
+            let message = got.receive(header, &payload, &SPACES).unwrap_err().to_string();
+            assert!(got.is_empty() && got.payload().is_empty());
+            let transitions =
+                Transitions::new(header.actor, header.count as usize, header.obs_dim as usize, &payload);
+            assert_eq!(transitions.check(&SPACES).unwrap_err().to_string(), message);
+            message
         };
+        assert!(check(&|h, _| h.actor = 2).contains("actor 2; this run has 2"));
         assert!(check(&|h, _| h.count = 0).contains("0 transitions"));
         assert!(check(&|h, _| h.count = 1 << 20).contains("1048576 transitions"));
         assert!(check(&|h, _| h.obs_dim = 9).contains("9 features"));
@@ -393,7 +493,7 @@ mod tests {
             payload in proptest::collection::vec(any::<u32>(), 0..64),
         ) {
             let header: BatchHeader = bytemuck::pod_read_unaligned(&header);
-            let _ = Batch::default().receive(header, &payload, 2, 4);
+            let _ = Checked::<Batch>::default().receive(header, &payload, &SPACES);
         }
     }
 }

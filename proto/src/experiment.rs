@@ -2,6 +2,7 @@
 //! whatever happens to their processes.
 
 use crate::acting::{Lengths, Room};
+use crate::batch::Spaces;
 use crate::config::{Config, EncodingKind, GuideKind, Mode};
 use crate::limits::{MAX_OWN_NUMBERS, MAX_OWN_PLACES, TRANSITIONS_BUFFER};
 use crate::space::{EnvSpec, Success, least};
@@ -91,6 +92,12 @@ impl Experiment {
         let all = self.one_hot_sizes();
         self.spec.categories.iter().for_each(|&feature| sizes[feature] = all[feature]);
         sizes
+    }
+
+    /// What the run's transitions can be.
+    pub fn spaces(&self) -> Spaces {
+        let (actors, spec) = (self.config.run.actors, &self.spec);
+        Spaces { actors, obs_dim: spec.obs_dim(), n_actions: spec.n_actions() }
     }
 
     /// Environment steps of a tick in lockstep.

@@ -10,7 +10,7 @@
 
 use crate::NONE;
 use crate::annotation::record_words;
-use crate::batch::{self, Batch};
+use crate::batch::{self, Batch, BatchError, Checked, Spaces, Transitions};
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
@@ -103,6 +103,14 @@ impl<'a> Part<'a> {
         let (payload, rest) = rest.split_at_checked(batch::words(count as usize, obs_dim))?;
         *words = rest;
         Some(Self { actor, count, payload })
+    }
+
+    /// Its transitions, where they lie, checked.
+    ///
+    /// # Errors
+    /// The first number that is not of a run with these `spaces`.
+    pub fn check(&self, spaces: &Spaces) -> Result<Checked<Transitions<'a>>, BatchError> {
+        Transitions::new(self.actor, self.count as usize, spaces.obs_dim, self.payload).check(spaces)
     }
 }
 

@@ -1,8 +1,8 @@
 //! A guide that leads along the mentor's path: a policy π(a | s, g), published with the weights, and the progress of this
 //! actor's episodes, which is its own.
 
+use crate::error::ActorError;
 use crate::policy::unit;
-use crate::worker::ActorError;
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::learned_bridges::{Goal, Pace, Paths, Tracker, draw, paths_of, policy_of, softmax};
 use trestle_algorithm::similarity::Hit;

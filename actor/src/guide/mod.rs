@@ -9,7 +9,7 @@ mod learned;
 pub use known::Known;
 pub use learned::{Learned, Progress};
 
-use crate::worker::ActorError;
+use crate::error::ActorError;
 use trestle_proto::acting::Acting;
 use trestle_proto::batch::Tally;
 use trestle_proto::experiment::Experiment;

@@ -48,7 +48,7 @@ pub enum AgentError {
         /// What is accepted.
         accepted: usize,
     },
-    /// A batch, or the mentor-server's answer to it, that this run cannot use.
+    /// An answer of the mentor-server that does not belong to the batch.
     #[error("batch of actor {actor}: {what} is {found}; accepted: {accepted}")]
     Batch {
         /// The batch's actor.
@@ -58,7 +58,7 @@ pub enum AgentError {
         /// Its value.
         found: usize,
         /// What is accepted.
-        accepted: String,
+        accepted: usize,
     },
     /// A saved state that is not of this run, or whose parts do not belong together.
     #[error("saved state: {what} is {found}; accepted: {accepted}")]

@@ -1,9 +1,11 @@
 //! Taking transitions in: limits, counts, episodes, annotations, the replay and its first past values.
 
+use super::samples::Sources;
 use super::{Agent, AgentError, Counters, Episode, Running};
+use crate::rivals::Shown;
 use trestle_proto::NONE;
 use trestle_proto::annotation::record_words;
-use trestle_proto::batch::Batch;
+use trestle_proto::batch::{Batch, Checked};
 use trestle_proto::observe::Observed;
 use trestle_proto::space::reported;
 
@@ -35,9 +37,13 @@ impl Agent {
     /// `observed` is the mentor-server's answer to the whole batch, exactly where the algorithm has a mentor.
     ///
     /// # Errors
-    /// A batch or an answer that does not fit the experiment. Nothing of the batch has been stored then.
-    pub fn ingest(&mut self, batch: &Batch, observed: Option<&Observed>) -> Result<Ingested, AgentError> {
-        self.check_batch(batch, observed)?;
+    /// An answer to another batch, or to none. Nothing of the batch has been stored then.
+    pub fn ingest(
+        &mut self,
+        batch: &Checked<Batch>,
+        observed: Option<&Observed>,
+    ) -> Result<Ingested, AgentError> {
+        self.check_answer(batch, observed)?;
         if let (Some(mentor), Some(observed)) = (&mut self.mentor, observed) {
             mentor.annotations.apply(&observed.changed)?;
             mentor.searches_cut_short += u64::from(observed.cut_short);
@@ -95,38 +101,20 @@ impl Agent {
         Ok(ingested)
     }
 
-    fn check_batch(&self, batch: &Batch, observed: Option<&Observed>) -> Result<(), AgentError> {
-        let actor = batch.header.actor;
-        let refuse =
-            |what, found: usize, accepted: String| Err(AgentError::Batch { actor, what, found, accepted });
-        if actor as usize >= self.running.len() {
-            return refuse("the actor", actor as usize, format!("below {}", self.running.len()));
-        }
-        if batch.obs_dim() != self.replay.obs_dim() {
-            let accepted = self.replay.obs_dim().to_string();
-            return refuse("the number of features", batch.obs_dim(), accepted);
-        }
-        let n_actions = self.settings.n_actions;
-        if let Some(&action) = batch.actions().iter().find(|&&action| action as usize >= n_actions) {
-            return refuse("an action", action as usize, format!("below {n_actions}"));
-        }
-        match (&self.mentor, observed) {
-            (None, None) => Ok(()),
-            (Some(mentor), Some(observed)) => {
-                if observed.mentor.len() != batch.len() {
-                    let accepted = batch.len().to_string();
-                    return refuse("the number of mentor indices", observed.mentor.len(), accepted);
-                }
-                let len = mentor.transitions.len();
-                match observed.mentor.iter().find(|&&j| j != NONE && j as usize >= len) {
-                    Some(&j) => refuse("a mentor index", j as usize, format!("below {len}, or none")),
-                    None => Ok(()),
-                }
+    /// Whether `observed` is an answer to `batch`, and due.
+    fn check_answer(&self, batch: &Batch, observed: Option<&Observed>) -> Result<(), AgentError> {
+        let refuse = |what, found, accepted| {
+            Err(AgentError::Batch { actor: batch.header.actor, what, found, accepted })
+        };
+        let answers = usize::from(self.mentor.is_some());
+        match observed {
+            _ if usize::from(observed.is_some()) != answers => {
+                refuse("the number of the mentor-server's answers", usize::from(observed.is_some()), answers)
             }
-            (mentor, observed) => {
-                let accepted = u8::from(mentor.is_some()).to_string();
-                refuse("the number of the mentor-server's answers", observed.iter().count(), accepted)
+            Some(observed) if observed.mentor.len() != batch.len() => {
+                refuse("the number of mentor indices", observed.mentor.len(), batch.len())
             }
+            _ => Ok(()),
         }
     }
 
@@ -137,19 +125,21 @@ impl Agent {
             return Ok(());
         };
         // A batch may be longer than the replay; only its end is stored then.
-        let (step, replay) = (&mut self.step, &self.replay);
+        let Self { settings, encoding, replay, step, .. } = self;
         let mut index = first.max(replay.first_index());
         while index < replay.next_index() {
-            step.clear();
-            while index < replay.next_index() && !step.is_full() {
+            let from =
+                Sources { settings, encoding, replay, mentor: Some(&*mentor), shown: Shown::default() };
+            step.samples.clear();
+            while index < replay.next_index() && !step.samples.is_full() {
                 let slot = replay.slot(index);
                 index += 1;
                 if let Some(j) = replay.get(slot).mentor {
-                    step.add(slot, Some(j), replay, Some(&*mentor), &self.settings.rule, &self.encoding);
+                    step.samples.add(slot, Some(j), &from);
                 }
             }
-            step.forward_values(&self.network)?;
-            step.each_with_mentor(|own, candidate| mentor.selection.valued(own, candidate));
+            step.samples.forward(&self.network, &mut step.workspace)?;
+            step.samples.each_with_mentor(|own, candidate| mentor.selection.valued(own, candidate));
         }
         Ok(())
     }

@@ -17,9 +17,12 @@
 mod counts;
 mod error;
 mod ingest;
+mod rows;
+mod samples;
 mod state;
 mod stats;
 mod step;
+mod terms;
 mod train;
 
 pub use counts::{Counters, Episode, MentorRow};
@@ -85,7 +88,6 @@ struct Settings {
     loss: Loss,
     gamma: f32,
     tau: f32,
-    n_actions: usize,
     /// See [`trestle_proto::space::EnvSpec::goal_bonus`].
     goal_bonus: f32,
     /// What counts as an episode's success.
@@ -319,7 +321,6 @@ impl Settings {
             loss,
             gamma: learner.gamma as f32,
             tau: learner.tau as f32,
-            n_actions: experiment.spec.n_actions(),
             goal_bonus: experiment.spec.goal_bonus,
             success: experiment.success(),
             episodes: run.episodes,

@@ -1,11 +1,8 @@
 //! Gradient steps: those that are due, one after the other.
 
 use super::{Agent, AgentError, TrainStats};
-use crate::rivals::{Rival, Shown};
-use trestle_proto::config::TargetKind;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::schedule::{gradient_steps_due, guides};
-use trestle_qnet::clip_grad_norm;
 
 impl Agent {
     /// Takes all gradient steps that are due since the last call, and renews [`Agent::acting`]. Calls `finished` after
@@ -55,52 +52,5 @@ impl Agent {
             }
         }
         Ok(stats)
-    }
-
-    /// Draw, forward, choose, backward, Adam, target.
-    pub(super) fn gradient_step(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
-        let (settings, step) = (&self.settings, &mut self.step);
-        step.draw(&self.replay, self.mentor.as_ref(), settings.draw, &mut self.rng, settings.learner.batch);
-        step.collect(&self.replay, self.mentor.as_ref(), &settings.rule, &self.encoding);
-        if let Some(rival) = &mut self.rival {
-            rival.prepare(&self.replay, step.slots(), settings.learner.n_step);
-        }
-        let shown = self.rival.as_ref().map_or_else(Shown::default, Rival::shown);
-        if let Some(view) = shown.view {
-            step.look(view, &self.encoding);
-        }
-        step.forward_values(&self.network)?;
-        step.choose(&self.replay, self.mentor.as_ref(), shown, settings, &self.encoding, stats);
-        if let Some(mentor) = &mut self.mentor {
-            step.count_used(&mut mentor.used);
-            step.each_with_mentor(|own, candidate| mentor.selection.trained(own, candidate));
-        }
-        step.forward_targets(&self.network, settings)?;
-        step.differentiate(&self.network, settings, stats)?;
-        if let (Some(imitation), Some(own)) = (&mut self.imitation, &self.own)
-            && let Some(loss) = imitation.add_gradient(&self.network, &self.encoding, own, &mut step.grad)?
-        {
-            stats.imitation_steps += 1;
-            stats.imitation_loss_sum += loss;
-        }
-
-        let (adam, grad) = (&mut self.adam, &mut step.grad);
-        let (kernels, max_norm) = (step.workspace.kernels(), settings.learner.max_grad_norm as f32);
-        self.network.update(|params| {
-            if max_norm > 0.0 {
-                stats.grad_norm_sum += f64::from(clip_grad_norm(kernels, grad, max_norm));
-            }
-            adam.step(&settings.adam, kernels, params, grad);
-        })?;
-        self.counters.grad_steps += 1;
-        match settings.learner.target {
-            TargetKind::Hard if self.counters.grad_steps.is_multiple_of(settings.learner.target_every) => {
-                self.network.hard_update()?;
-            }
-            TargetKind::Hard => {}
-            TargetKind::Polyak => self.network.polyak_update(settings.tau)?,
-        }
-        stats.grad_steps += 1;
-        Ok(())
     }
 }

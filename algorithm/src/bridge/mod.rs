@@ -59,6 +59,9 @@ use crate::demonstration::Order;
 use crate::similarity::{Hit, Similarity};
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
+/// More steps than any path has.
+const NEVER: u32 = u32::MAX;
+
 /// The definition's parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BridgeRule {

@@ -24,7 +24,7 @@ use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
 use super::outlook::{Outlook, Stock};
 use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals, known};
-use super::{Path, Place, improve};
+use super::{NEVER, Path, Place, improve};
 use crate::demonstration::transitions;
 use crate::history::Stored;
 use crate::similarity::Hit;
@@ -41,8 +41,6 @@ const SURVEY: usize = 1 << 14;
 /// than they could be, but never bridges without cross-referencing. Few searches begin, and most of them look at little.
 /// The limit is there so that even the largest batch is answered before its deadline.
 pub const MAX_LOOKS: usize = 1 << 18;
-/// More steps than any path has.
-pub(super) const NEVER: u32 = u32::MAX;
 /// Goals that each state is compared with, at most. If there are more, the search uses the index instead, and leaves no
 /// state out for its distance.
 const FEW: usize = 32;
@@ -110,6 +108,10 @@ pub struct Arrival<'a> {
     pub oldest: u64,
     /// Its effect on the graph.
     pub news: News,
+    /// The mentor states similar to its beginning, and to its end.
+    pub starts: &'a [Hit],
+    /// See `starts`.
+    pub ends: &'a [Hit],
 }
 
 /// Working memory of the search.
@@ -144,9 +146,7 @@ pub struct Search {
     /// For each stored state.
     beside: Vec<Beside>,
     stack: Vec<u32>,
-    /// The mentor states similar to s of t, to its s', and to a state on the way.
-    from_hits: Vec<Hit>,
-    to_hits: Vec<Hit>,
+    /// The mentor states similar to a state on the way.
     hits: Vec<Hit>,
     cut_short: u64,
 }
@@ -188,8 +188,6 @@ impl Search {
             slots: Vec::new(),
             beside: Vec::new(),
             stack: Vec::new(),
-            from_hits: Vec::new(),
-            to_hits: Vec::new(),
             hits: Vec::new(),
             cut_short: 0,
         }
@@ -217,17 +215,14 @@ impl Search {
         table: &mut AnnotationTable,
         mut improved: impl FnMut(usize),
     ) -> bool {
-        let Arrival { states, t, graph, .. } = *new;
-        let (from, to) = (states.whitened(t.from), states.whitened(t.to));
-        path.similarity.states(from, &mut self.stack, &mut self.from_hits);
-        path.similarity.states(to, &mut self.stack, &mut self.to_hits);
-        let Self { outlook, collecting, from_hits, to_hits, .. } = self;
-        outlook.add((new.index, t.reward), from_hits, to_hits, path, |j| collecting.grow(j, path));
+        let Arrival { states, t, graph, starts, ends, .. } = *new;
+        let Self { outlook, collecting, .. } = self;
+        outlook.add((new.index, t.reward), starts, ends, path, |j| collecting.grow(j, path));
         if new.news == News::Nothing {
             return true;
         }
         self.beside.resize(states.bound().max(self.beside.len()), Beside::Unknown);
-        for (id, hits) in [(t.from, &self.from_hits), (t.to, &self.to_hits)] {
+        for (id, hits) in [(t.from, starts), (t.to, ends)] {
             self.beside[id as usize] = if hits.is_empty() { Beside::Nothing } else { Beside::Something };
         }
         let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
@@ -274,14 +269,14 @@ impl Search {
         most: usize,
         table: &AnnotationTable,
     ) -> bool {
-        let Arrival { states, t, graph, oldest, .. } = *new;
-        let Self { from_hits, to_hits, outlook, collecting, wanted, .. } = self;
+        let Arrival { states, t, graph, oldest, starts, ends, .. } = *new;
+        let Self { outlook, collecting, wanted, .. } = self;
         let newest = Newest {
             from: states.whitened(t.from),
             to: states.whitened(t.to),
             reward: t.reward,
-            starts: from_hits,
-            ends: to_hits,
+            starts,
+            ends,
             path,
             stock: Stock { states, graph, oldest },
             reach: *reach,
@@ -306,7 +301,7 @@ impl Search {
         self.begin(new);
         self.mark(new);
         let first = First { action: t.action, reward: t.reward, to: t.to };
-        for (j, _) in transitions(&self.from_hits, path.order) {
+        for (j, _) in transitions(new.starts, path.order) {
             self.starts.meet(j, 0, first, (table, path), new.states);
         }
         while !ahead.exhausted() && !behind.exhausted() {
@@ -335,7 +330,7 @@ impl Search {
         let t = new.t;
         self.level.clear();
         self.level.push(t.to);
-        self.to_hits.iter().for_each(|hit| self.ends.note(hit, 0));
+        new.ends.iter().for_each(|hit| self.ends.note(hit, 0));
         let first = First { action: t.action, reward: t.reward, to: t.to };
         self.back.clear();
         self.back.push((t.from, first));

@@ -1,7 +1,7 @@
 //! Straight bridges: the newest transition as the last step of a path of predecessors.
 //!
 //! Such a path is a stretch of one actor's episode, so its beginning is one of the last k transitions. This finds every
-//! bridge that needs no cross-referencing, at a cost of k look-ups at most.
+//! bridge that needs no cross-referencing, at a cost of k - 1 look-ups at most.
 
 use super::{Path, Place, improve};
 use crate::demonstration::transitions;
@@ -14,22 +14,21 @@ use trestle_proto::annotation::{AnnotationTable, Bridge};
 pub struct Scratch {
     stack: Vec<u32>,
     starts: Vec<Hit>,
-    ends: Vec<Hit>,
 }
 
-/// Looks for bridges that end with transition `index`, the newest of `history`, and improves `table`. `improved` is
-/// called with each mentor transition whose bridge was replaced, perhaps more than once.
+/// Looks for bridges that end with transition `index`, the newest of `history`, and improves `table`. The mentor states of
+/// `newest` are similar to the transition's beginning, those of `ends` to its end. `improved` is called with each mentor transition whose bridge was replaced, perhaps more than once.
 pub fn search(
     history: &History,
     index: u64,
+    [newest, ends]: [&[Hit]; 2],
     path: &Path<'_>,
     table: &mut AnnotationTable,
     scratch: &mut Scratch,
     mut improved: impl FnMut(usize),
 ) {
-    let Scratch { stack, starts, ends } = scratch;
+    let Scratch { stack, starts } = scratch;
     let states = &history.states;
-    path.similarity.states(states.whitened(history.get(index).to), stack, ends);
     if ends.is_empty() {
         return;
     }
@@ -37,8 +36,13 @@ pub fn search(
     for length in 1..=path.rule.k {
         let Some(at) = first else { return };
         let step = history.get(at);
-        path.similarity.states(states.whitened(step.from), stack, starts);
-        for (j, _) in transitions(starts, path.order) {
+        let near = if length == 1 {
+            newest
+        } else {
+            path.similarity.states(states.whitened(step.from), stack, starts);
+            starts.as_slice()
+        };
+        for (j, _) in transitions(near, path.order) {
             if table.errors()[j] < path.rule.e_infeas {
                 continue;
             }

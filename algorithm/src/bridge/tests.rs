@@ -125,12 +125,17 @@ impl Bench {
     ) -> u64 {
         let Self { metric, history, graph, search, straight } = self;
         let (index, news) = store(history, graph.as_mut(), metric, actor, t);
+        let (t, mut starts, mut ends) = (history.get(index), Vec::new(), Vec::new());
+        for (state, hits) in [(t.from, &mut starts), (t.to, &mut ends)] {
+            path.similarity.states(history.states.whitened(state), &mut Vec::new(), hits);
+        }
+        let (starts, ends) = (starts.as_slice(), ends.as_slice());
         if let Some(graph) = graph {
             let (states, oldest) = (&history.states, history.oldest());
-            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
+            let new = Arrival { states, graph, t, index, oldest, news, starts, ends };
             search.run(&new, path, table, |_| ());
         } else {
-            straight::search(history, index, path, table, straight, |_| ());
+            straight::search(history, index, [starts, ends], path, table, straight, |_| ());
         }
         index
     }

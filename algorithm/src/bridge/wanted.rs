@@ -8,8 +8,7 @@
 use super::frontier::Marks;
 use super::outlook::{Outlook, Stock};
 use super::room::Room;
-use super::search::NEVER;
-use super::{BridgeRule, Path};
+use super::{BridgeRule, NEVER, Path};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;

@@ -36,19 +36,30 @@ pub enum MentorKind {
 
 /// What the mentor's loss of one sample needs beside s_m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MentorTerm<'a> {
+pub struct MentorTerm {
     /// Equation (3) or (6).
     pub kind: MentorKind,
     /// a_m, or a_feas.
     pub action: u32,
-    /// s'_m, or s_feas.
-    pub next_obs: &'a [f32],
-    /// Whether `next_obs` is terminal and so has no value.
+    /// Whether its next state is terminal and so has no value.
     pub terminal: bool,
     /// The reward of the target.
     pub reward: f32,
     /// e_KL of the transition; infinite if no action has been inferred.
     pub e_kl: f32,
+}
+
+impl MentorTerm {
+    /// The next state of the term, which is that of mentor transition `j`: s'_m, or s_feas.
+    pub fn next_obs<'a>(
+        &self,
+        j: usize,
+        annotations: &'a AnnotationTable,
+        transitions: &'a MentorTransitions,
+    ) -> &'a [f32] {
+        let bridge = annotations.bridge(j).filter(|_| self.kind == MentorKind::Bridged);
+        bridge.map_or_else(|| transitions.next_state(j), |bridge| bridge.next_obs)
+    }
 }
 
 /// The term of mentor transition `j` for a sample whose own reward is `r_o`; none where the mentor has nothing to
@@ -59,13 +70,13 @@ pub struct MentorTerm<'a> {
 /// loss"). With the reward rule `observer` the reward is `r_o`, as (3) and (6) are written; with `matched` (our
 /// choice, the default) it is what the observer got when it took a_est, or the bridge's first step: r_o belongs to
 /// another action.
-pub fn mentor_term<'a>(
+pub fn mentor_term(
     rule: &MentorRule,
     j: usize,
-    annotations: &'a AnnotationTable,
-    transitions: &'a MentorTransitions,
+    annotations: &AnnotationTable,
+    transitions: &MentorTransitions,
     r_o: f32,
-) -> Option<MentorTerm<'a>> {
+) -> Option<MentorTerm> {
     let reward = |matched| match rule.reward {
         RewardKind::Matched => matched,
         RewardKind::Observer => r_o,
@@ -81,7 +92,6 @@ pub fn mentor_term<'a>(
         return Some(MentorTerm {
             kind: MentorKind::Feasible,
             action: estimate.action,
-            next_obs: transitions.next_state(j),
             terminal: transitions.terminal(j),
             reward: reward(estimate.reward),
             e_kl,
@@ -91,7 +101,6 @@ pub fn mentor_term<'a>(
     Some(MentorTerm {
         kind: MentorKind::Bridged,
         action: bridge.action,
-        next_obs: bridge.next_obs,
         terminal: bridge.terminated,
         reward: reward(bridge.reward),
         e_kl,
@@ -166,8 +175,9 @@ mod tests {
         let (table, transitions) = world();
         let rule = rule(Algo::HaDiiqn, true, RewardKind::Matched);
         let term = |j| mentor_term(&rule, j, &table, &transitions, 0.0).unwrap();
-        assert_eq!((term(1).next_obs, term(1).terminal, term(1).e_kl), (&[2.0][..], true, 0.05));
-        assert_eq!((term(3).next_obs, term(3).terminal, term(3).e_kl), (&[9.0][..], false, 0.5));
-        assert_eq!((term(4).next_obs, term(4).terminal, term(4).e_kl), (&[9.0][..], true, f32::INFINITY));
+        let found = |j| (term(j).next_obs(j, &table, &transitions), term(j).terminal, term(j).e_kl);
+        assert_eq!(found(1), (&[2.0][..], true, 0.05));
+        assert_eq!(found(3), (&[9.0][..], false, 0.5));
+        assert_eq!(found(4), (&[9.0][..], true, f32::INFINITY));
     }
 }

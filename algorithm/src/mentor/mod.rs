@@ -22,9 +22,9 @@ use crate::similarity::metric::{Metric, MetricError};
 use crate::similarity::{Hit, Similarity};
 use trestle_proto::NONE;
 use trestle_proto::annotation::{AnnotationError, AnnotationTable};
-use trestle_proto::batch::{Batch, Transition};
+use trestle_proto::batch::{Checked, Transition, Transitions};
 use trestle_proto::config::{self, Algo};
-use trestle_proto::limits::{MAX_ACTORS, MAX_BRIDGE_DEPTH, MAX_QUERY_ROWS, MAX_REPLAY};
+use trestle_proto::limits::{MAX_BRIDGE_DEPTH, MAX_QUERY_ROWS, MAX_REPLAY};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::query::{MALFORMED, OUT_OF_ORDER, OUT_OF_RANGE};
@@ -68,7 +68,7 @@ pub enum MentorError {
         /// Number of the first one received.
         found: u64,
     },
-    /// Actor, action or features out of range.
+    /// A state of another size, or not finite.
     #[error("{what} is {value}; accepted: {accepted}")]
     Value {
         /// What is wrong.
@@ -110,7 +110,6 @@ impl MentorError {
 #[derive(Clone, Debug)]
 pub struct Mentor {
     seed: u64,
-    n_actions: usize,
     rule: BridgeRule,
     /// Whether bridges are looked for.
     bridging: bool,
@@ -128,9 +127,18 @@ pub struct Mentor {
     changed: Changed,
     straight: straight::Scratch,
     search: Search,
-    hits: Vec<Hit>,
+    near: Near,
     candidates: Vec<u32>,
     stack: Vec<u32>,
+}
+
+/// The mentor states similar to both ends of the newest transition.
+#[derive(Clone, Debug, Default)]
+struct Near {
+    starts: Vec<Hit>,
+    ends: Vec<Hit>,
+    /// Whether `ends` has been looked up.
+    ends_known: bool,
 }
 
 /// The mentor transitions whose annotations have changed, each once.
@@ -181,7 +189,6 @@ impl Mentor {
             (bridging && config.cross_reference).then(|| Graph::new(Cells::new(e_th, &whitened, dim)));
         Ok(Self {
             seed,
-            n_actions: spec.n_actions(),
             rule: BridgeRule { k: config.k as usize, n: config.n as usize, e_infeas },
             bridging,
             transitions: demo.transitions(),
@@ -196,33 +203,32 @@ impl Mentor {
             straight: straight::Scratch::default(),
             search: Search::new(order.n_states(), count),
             order,
-            hits: Vec::new(),
+            near: Near::default(),
             candidates: Vec::new(),
             stack: Vec::new(),
         })
     }
 
-    /// Takes in the transitions of `batch`, whose first has number `first` in the run's one history, as those of
-    /// `actor`: stores them, infers actions, looks for bridges. Fills `out` with a mentor transition for each one, drawn
+    /// Takes in `batch`, whose first transition has number `first` in the run's one history: stores the transitions, infers actions, looks for bridges. Fills `out` with a mentor transition for each one, drawn
     /// evenly from those whose s_m is similar to its s (none: [`NONE`]), and with the annotations that changed, each
     /// once, in ascending order.
     ///
     /// # Errors
-    /// Transitions that do not continue the history, or numbers out of range: nothing is taken in.
+    /// Transitions that do not continue the history: nothing is taken in.
     pub fn observe(
         &mut self,
         first: u64,
-        actor: u32,
-        batch: &Batch,
+        batch: Checked<Transitions<'_>>,
         out: &mut Observed,
     ) -> Result<(), MentorError> {
         out.clear();
-        self.accept(first, actor, batch)?;
+        self.accept(first)?;
         let cut_short = self.search.cut_short();
+        self.near.ends_known = false;
         for i in 0..batch.len() {
-            let (index, news) = self.store(actor, &batch.transition(i));
-            let from = self.history.get(index).from;
-            self.similarity.states(self.history.states.whitened(from), &mut self.stack, &mut self.hits);
+            let t = batch.get(i);
+            let (index, news) = self.store(batch.actor, &t);
+            self.look_up(index, i > 0 && same(batch.get(i - 1).next_obs, t.obs));
             self.infer(index);
             if self.bridging && self.infeasible > 0 {
                 self.bridge_through(index, news);
@@ -243,10 +249,10 @@ impl Mentor {
     ///
     /// # Errors
     /// As for [`Mentor::observe`].
-    pub fn rebuild(&mut self, first: u64, actor: u32, batch: &Batch) -> Result<(), MentorError> {
-        self.accept(first, actor, batch)?;
+    pub fn rebuild(&mut self, first: u64, batch: Checked<Transitions<'_>>) -> Result<(), MentorError> {
+        self.accept(first)?;
         for i in 0..batch.len() {
-            self.store(actor, &batch.transition(i));
+            self.store(batch.actor, &batch.get(i));
         }
         self.search.forget();
         Ok(())
@@ -264,26 +270,8 @@ impl Mentor {
         Ok(applied?)
     }
 
-    /// Checks a batch as a whole, so that it is taken in as a whole or not at all.
-    fn accept(&mut self, first: u64, actor: u32, batch: &Batch) -> Result<(), MentorError> {
-        let refuse = |what, value: f64, accepted: String| Err(MentorError::Value { what, value, accepted });
-        if actor >= MAX_ACTORS {
-            return refuse("the actor", f64::from(actor), format!("below {MAX_ACTORS}"));
-        }
-        if batch.is_empty() {
-            return refuse("the number of transitions", 0.0, "1 or more".into());
-        }
-        if batch.obs_dim() != self.metric.dim() {
-            return refuse("the number of features", batch.obs_dim() as f64, self.metric.dim().to_string());
-        }
-        if let Some(&action) = batch.actions().iter().find(|&&a| a as usize >= self.n_actions) {
-            return refuse("an action", f64::from(action), format!("below {}", self.n_actions));
-        }
-        let mut numbers =
-            [batch.observations(), batch.next_observations(), batch.rewards()].into_iter().flatten();
-        if let Some(&x) = numbers.find(|x| !x.is_finite()) {
-            return refuse("a feature or reward", f64::from(x), "finite numbers".into());
-        }
+    /// Begins to take in transitions from number `first` on.
+    fn accept(&mut self, first: u64) -> Result<(), MentorError> {
         if let Some(expected) = self.history.expected().filter(|&expected| expected != first) {
             return Err(MentorError::Gap { expected, found: first });
         }
@@ -296,13 +284,30 @@ impl Mentor {
         store(&mut self.history, self.graph.as_mut(), &self.metric, actor, t)
     }
 
-    /// Action inference for stored transition `index`, whose similar mentor states are in `hits`.
+    /// Looks up the mentor states near stored transition `index`, the newest: each state once. `follows` says whether the
+    /// transition begins in the state in which the one before it ended.
+    fn look_up(&mut self, index: u64, follows: bool) {
+        let Self { history, similarity, stack, near, .. } = self;
+        let (t, states) = (history.get(index), &history.states);
+        if follows && near.ends_known {
+            std::mem::swap(&mut near.starts, &mut near.ends);
+        } else {
+            similarity.states(states.whitened(t.from), stack, &mut near.starts);
+        }
+        // Bridges alone ask for the end.
+        near.ends_known = self.bridging && self.infeasible > 0;
+        if near.ends_known {
+            similarity.states(states.whitened(t.to), stack, &mut near.ends);
+        }
+    }
+
+    /// Action inference for stored transition `index`, whose similar mentor states have been looked up.
     fn infer(&mut self, index: u64) {
         let t = self.history.get(index);
         let seen = Observation {
             state: self.history.states.whitened(t.from),
             next: self.history.states.whitened(t.to),
-            similar: &self.hits,
+            similar: &self.near.starts,
             action: t.action,
             reward: t.reward,
         };
@@ -317,28 +322,35 @@ impl Mentor {
 
     /// Looks for bridges that stored transition `index`, the newest, completes.
     fn bridge_through(&mut self, index: u64, news: News) {
-        let Self { rule, order, similarity, history, graph, table, changed, straight, search, .. } = self;
+        let Self { rule, order, similarity, history, graph, table, changed, straight, search, near, .. } =
+            self;
+        let (starts, ends) = (near.starts.as_slice(), near.ends.as_slice());
         let path = Path { rule: *rule, order, similarity };
         let complete = graph.as_ref().is_some_and(|graph| {
             let (states, oldest) = (&history.states, history.oldest());
-            let new = Arrival { states, graph, t: history.get(index), index, oldest, news };
+            let new = Arrival { states, graph, t: history.get(index), index, oldest, news, starts, ends };
             search.run(&new, &path, table, |j| changed.mark(j))
         });
         // A complete search has found these, too.
         if !complete {
-            straight::search(history, index, &path, table, straight, |j| changed.mark(j));
+            straight::search(history, index, [starts, ends], &path, table, straight, |j| changed.mark(j));
         }
     }
 
-    /// The mentor transition for stored transition `index`, out of those that begin in one of `hits`.
+    /// The mentor transition for stored transition `index`, out of those that begin in a state similar to its s.
     fn draw(&mut self, index: u64) -> u32 {
         self.candidates.clear();
-        self.candidates.extend(transitions(&self.hits, &self.order).map(|(j, _)| j as u32));
+        self.candidates.extend(transitions(&self.near.starts, &self.order).map(|(j, _)| j as u32));
         match self.candidates.len() as u32 {
             0 => NONE,
             n => self.candidates[pick(self.seed, Purpose::MentorPick, index, n) as usize],
         }
     }
+}
+
+/// Whether two states are the same, bit for bit.
+fn same(a: &[f32], b: &[f32]) -> bool {
+    a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()))
 }
 
 /// The ranges that this crate relies on; a checked and resolved configuration is always within them. Returns `e_th` and

@@ -2,7 +2,7 @@
 
 use super::{free, report};
 use crate::cli::Record;
-use crate::program;
+use crate::itself;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::worker::Worker;
@@ -22,7 +22,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
     free(&args.out, args.overwrite)?;
     let dir = RunDir::new(&args.run);
     let experiment = read_experiment(&dir)?;
-    program::hand_over(&experiment.config.env)?;
+    itself::hand_over(&experiment.config.env)?;
     let (_, path) = checkpoint::newest_complete(dir.root())?
         .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?;
     let (layout, _) = trestle_qnet::network_of(&experiment)?;

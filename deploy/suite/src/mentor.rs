@@ -1,8 +1,7 @@
 //! Mentors of tasks, good ones and bad ones. A demonstration is a function of its task.
 
 use crate::paths::{Paths, Ties};
-use crate::set::map_text;
-use trestle_actor::env::grid::{ActionSet, Cell, GridError, Map};
+use trestle_actor::env::grid::{self, ActionSet, Cell, GridError, Map};
 use trestle_actor::env::{EnvError, registry};
 use trestle_algorithm::demonstration::{Demonstration, DemonstrationError};
 use trestle_proto::choices;
@@ -41,6 +40,16 @@ choices! {
         /// Its path from the goal to the start; velocities change their sign.
         Backwards = "backwards",
     }
+}
+
+/// The text of the map called `name`, as `env.map` takes it.
+///
+/// # Errors
+/// No such map.
+pub fn map_text(name: &str) -> Result<String, GridError> {
+    let mut text = None;
+    grid::resolve(name, &mut text, 0)?;
+    Ok(text.unwrap_or_default())
 }
 
 /// A demonstration that is wanted.

@@ -4,7 +4,6 @@ use crate::mentor::{Mentor, MentorError, Wanted, demonstration};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::Path;
-use trestle_actor::env::grid::{self, GridError};
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_proto::names;
 use trestle_proto::regular_file::{self, FileError};
@@ -230,16 +229,6 @@ pub fn is_plain(name: &str) -> bool {
 
 fn is_name(part: &str) -> bool {
     is_plain(part) && !["report", "maps", "demonstrations"].contains(&part)
-}
-
-/// The text of the map called `name`, as `env.map` takes it.
-///
-/// # Errors
-/// No such map.
-pub fn map_text(name: &str) -> Result<String, GridError> {
-    let mut text = None;
-    grid::resolve(name, &mut text, 0)?;
-    Ok(text.unwrap_or_default())
 }
 
 /// Whether `name` is of the form of `pattern`, in which `*` stands for any letters and `?` for one.

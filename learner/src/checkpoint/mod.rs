@@ -60,6 +60,7 @@ pub use saver::Saver;
 pub use write::{Cut, Taken, Unsynced};
 
 use std::path::{Path, PathBuf};
+use trestle_proto::codec::Kind;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
@@ -81,6 +82,16 @@ const SELECTION: &str = "selection.bin";
 const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
 /// Beginning of the name of a directory that is being written or removed.
 const SCRATCH: &str = ".scratch-";
+
+const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 7 };
+const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
+const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
+/// First words of `annotations.bin`: magic, and the version of the records' layout.
+const ANNOTATIONS_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRAN"), 1];
+/// The same of `selection.bin`, whose contents are the rule's own.
+const SELECTION_HEAD: [u8; 8] = *b"TRSE\x01\0\0\0";
+/// The same of `pending.bin`, whose parts are those of [`trestle_proto::observe`].
+const PENDING_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRPE"), 1];
 
 /// Where the checkpoint of `tick` is in the run directory `run_dir`.
 pub fn directory(run_dir: &Path, tick: u64) -> PathBuf {

@@ -2,16 +2,16 @@
 
 use super::error::{CheckpointError, contents};
 use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint, history_of};
-use super::write::{ACTORS_KIND, AGENT_KIND, ANNOTATIONS_HEAD, PENDING_HEAD, RUN_KIND, SELECTION_HEAD};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SELECTION, TARGET,
+    ACTORS, ACTORS_KIND, AGENT, AGENT_KIND, ANNOTATIONS, ANNOTATIONS_HEAD, MANIFEST, MODEL, OPTIMIZER,
+    PENDING, PENDING_HEAD, REPLAY, RUN, RUN_KIND, SELECTION, SELECTION_HEAD, TARGET,
 };
 use super::{directory, file, tensors, ticks};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use trestle_algorithm::agent::{Agent, AgentState, Counters, Parts};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
@@ -31,7 +31,7 @@ pub struct Loaded {
     /// What the loop had to remember.
     pub run: Vec<u8>,
     /// The batches of the next tick, one of each actor in order, if they have come: then the actors are as they were after them.
-    pub pending: Vec<Batch>,
+    pub pending: Vec<Checked<Batch>>,
 }
 
 /// Tick and directory of the newest checkpoint in `run_dir` that is complete and whole: its MANIFEST is vouched for
@@ -264,7 +264,11 @@ fn selection(dir: &Path, manifest: &Manifest) -> Result<Vec<u8>, CheckpointError
 }
 
 /// The batches of a tick of a run of `experiment`.
-fn pending(dir: &Path, entry: &FileEntry, experiment: &Experiment) -> Result<Vec<Batch>, CheckpointError> {
+fn pending(
+    dir: &Path,
+    entry: &FileEntry,
+    experiment: &Experiment,
+) -> Result<Vec<Checked<Batch>>, CheckpointError> {
     let path = dir.join(&entry.name);
     let refuse = |message: &str| contents(&path)(message);
     let words = words(dir, entry, PENDING_HEAD)?;
@@ -276,8 +280,8 @@ fn pending(dir: &Path, entry: &FileEntry, experiment: &Experiment) -> Result<Vec
             .ok_or_else(|| refuse("not a batch of each actor"))?;
         let (count, obs_dim_word) = (part.count, obs_dim as u32);
         let header = BatchHeader { actor, count, obs_dim: obs_dim_word, ..BatchHeader::default() };
-        let mut batch = Batch::default();
-        batch.receive(header, part.payload, obs_dim, experiment.spec.n_actions()).map_err(contents(&path))?;
+        let mut batch = Checked::<Batch>::default();
+        batch.receive(header, part.payload, &experiment.spaces()).map_err(contents(&path))?;
         batches.push(batch);
     }
     if rest.is_empty() { Ok(batches) } else { Err(refuse("more than a batch of each actor")) }

@@ -241,7 +241,7 @@ fn a_run_goes_on_from_before_its_last_tick() {
     let (dir, mut agent) = run(&short, &[4]);
     let mut world = World::new(&short.experiment, 5);
     let tick: Vec<_> = (0..short.experiment.config.run.actors).map(|actor| world.batch(actor, 5)).collect();
-    let came = || tick.iter().map(|(batch, _)| batch);
+    let came = || tick.iter().map(|(batch, _)| &**batch);
     assert!(agent.ends_within(came()) && !agent.done());
     let before = everything(&agent);
     let parts: Vec<Part<'_>> = came().map(Part::of).collect();

@@ -3,8 +3,8 @@
 use super::error::{CheckpointError, contents, io};
 use super::manifest::{self, FORMAT, FileEntry, Manifest, fingerprint, history_of};
 use super::{
-    ACTORS, AGENT, ANNOTATIONS, COMPLETE, MANIFEST, MODEL, OPTIMIZER, PENDING, REPLAY, RUN, SCRATCH,
-    SELECTION, TARGET,
+    ACTORS, ACTORS_KIND, AGENT, AGENT_KIND, ANNOTATIONS, ANNOTATIONS_HEAD, COMPLETE, MANIFEST, MODEL,
+    OPTIMIZER, PENDING, PENDING_HEAD, REPLAY, RUN, RUN_KIND, SCRATCH, SELECTION, SELECTION_HEAD, TARGET,
 };
 use super::{directory, file, name_of, read, tensors, ticks};
 use serde::Serialize;
@@ -19,16 +19,6 @@ use trestle_proto::observe::Part;
 use trestle_proto::own_file;
 use trestle_proto::plan::Life;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
-
-pub(super) const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 7 };
-pub(super) const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
-pub(super) const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
-/// First words of `annotations.bin`: magic, and the version of the records' layout.
-pub(super) const ANNOTATIONS_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRAN"), 1];
-/// The same of `selection.bin`, whose contents are the rule's own.
-pub(super) const SELECTION_HEAD: [u8; 8] = *b"TRSE\x01\0\0\0";
-/// The same of `pending.bin`, whose parts are those of [`trestle_proto::observe`].
-pub(super) const PENDING_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRPE"), 1];
 
 /// When a checkpoint is taken.
 #[derive(Clone, Copy, Debug)]

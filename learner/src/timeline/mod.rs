@@ -19,9 +19,12 @@ use moment::{Findings, Head, Moment, stride};
 use squares::Squares;
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use trestle_algorithm::agent::{Agent, Counters};
+use trestle_algorithm::replay::Replay;
+use trestle_proto::NONE;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::map_file::{MAX_MAP_BYTES, MapFile};
 use trestle_proto::mentor::MentorTransitions;
@@ -29,10 +32,14 @@ use trestle_proto::own_file;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 use visits::Visits;
-use way::{Way, steps};
+use way::Way;
 
 /// Moments that are kept, at most.
 pub(crate) const MOST: usize = 128;
+/// Newest transitions that are looked at between two moments, at most. Visits before them count next to nothing.
+const NEWEST: u64 = 25_000;
+/// Environment steps from one state that a moment tells of to the next, where there is no map.
+const APART: u64 = 20;
 /// Least time between two moments.
 const EVERY: Duration = Duration::from_millis(250);
 /// How many times as long as it took to make a moment the pause after it is, at least.
@@ -223,6 +230,18 @@ fn lines(path: &Path) -> io::Result<Vec<String>> {
         }
         lines.push(line);
     }
+}
+
+/// The numbers of the stored transitions that are still to be looked at when those before `counted` have been.
+fn uncounted(replay: &Replay, counted: u64) -> Range<u64> {
+    let next = replay.next_index();
+    counted.max(replay.first_index()).max(next.saturating_sub(NEWEST))..next
+}
+
+/// The mentor states of `experiment`'s waypoints that begin a step; none without waypoints.
+fn steps(experiment: &Experiment) -> impl Iterator<Item = usize> {
+    let of = experiment.waypoints.iter().flat_map(|waypoints| waypoints.transition_of.iter().enumerate());
+    of.filter(|(_, transition)| **transition != NONE).map(|(m, _)| m)
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! The lines of the timeline.
 
 use super::squares::{HALF_LIFE, Looks, SHADES, Squares};
-use super::visits::EVERY;
-use super::way::steps;
+use super::{APART, steps};
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::{Agent, MentorRow};
 use trestle_proto::NONE;
@@ -77,7 +76,7 @@ impl Head {
             mentor: Mentor::default(),
         };
         let count = mentor.map_or_else(|| steps(experiment).count(), MentorTransitions::len);
-        head.states_every = head.map.is_none().then_some(EVERY);
+        head.states_every = head.map.is_none().then_some(APART);
         let stride = stride(count);
         let mut told = Mentor { transitions: count, stride, led: mentor.is_none(), ..Mentor::default() };
         told.demos = experiment.mentors.iter().map(|part| (part.name.clone(), part.transitions)).collect();

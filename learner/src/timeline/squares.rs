@@ -1,5 +1,6 @@
 //! The map as squares: how often the agent was in each lately, what it thinks of each, and what it would do there.
 
+use super::uncounted;
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::Agent;
 use trestle_proto::experiment::Experiment;
@@ -10,8 +11,6 @@ use trestle_qnet::{Encoding, Layout, Workspace, argmax, forward, network_of};
 const MAX_SQUARES: usize = 4096;
 /// Environment steps after which a visit counts half.
 pub(super) const HALF_LIFE: f64 = 5_000.0;
-/// Newest transitions in which visits are counted; before them a visit counts next to nothing.
-const NEWEST: u64 = 25_000;
 /// Steps between the least and the greatest number of a picture.
 pub(super) const SHADES: f64 = 255.0;
 
@@ -124,8 +123,7 @@ impl Squares {
         let fade = |steps: u64| 0.5f64.powf(steps as f64 / HALF_LIFE);
         let faded = fade(next.saturating_sub(self.counted));
         self.visits.iter_mut().for_each(|visits| *visits *= faded);
-        let from = self.counted.max(replay.first_index()).max(next.saturating_sub(NEWEST));
-        for index in from..next {
+        for index in uncounted(replay, self.counted) {
             if let Some(square) = self.square(replay.get(replay.slot(index)).transition.obs) {
                 self.visits[square] += fade(next - 1 - index);
             }

@@ -1,14 +1,14 @@
 //! Where the agent was lately, where there is no map to count it on: some of its newest states.
 
+use super::APART;
 use super::moment::Head;
 use std::collections::VecDeque;
 use trestle_algorithm::agent::Agent;
 
-/// States that a moment tells of, at most, and environment steps from one to the next.
+/// States that a moment tells of, at most.
 const MOST: usize = 256;
-pub(super) const EVERY: u64 = 20;
 
-/// Every [`EVERY`]th of the newest states, the newest last, as they are drawn.
+/// Every [`APART`]th of the newest states, the newest last, as they are drawn.
 #[derive(Debug, Default)]
 pub(super) struct Visits {
     kept: VecDeque<Vec<f64>>,
@@ -21,9 +21,9 @@ impl Visits {
     pub(super) fn look(&mut self, agent: &Agent, head: &Head) -> Vec<f64> {
         let replay = agent.replay();
         let next = replay.next_index();
-        let newest = next.saturating_sub(EVERY * MOST as u64);
+        let newest = next.saturating_sub(APART * MOST as u64);
         let from = self.seen.max(replay.first_index()).max(newest);
-        for index in (from..next).filter(|index| index.is_multiple_of(EVERY)) {
+        for index in (from..next).filter(|index| index.is_multiple_of(APART)) {
             self.kept.push_back(head.point(replay.get(replay.slot(index)).transition.obs));
         }
         self.seen = next;

@@ -2,15 +2,12 @@
 //! would do in each.
 
 use super::moment::Moment;
+use super::{steps, uncounted};
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::learned_bridges::{Goal, Path, path_of, policy_of, softmax};
 use trestle_algorithm::similarity::Hit;
-use trestle_proto::NONE;
 use trestle_proto::experiment::Experiment;
 use trestle_qnet::{Layout, Workspace, argmax, forward};
-
-/// Newest transitions that are looked at between two moments.
-const NEWEST: u64 = 25_000;
 
 /// The path, and where the observer has been on it.
 #[derive(Debug)]
@@ -64,20 +61,12 @@ impl Way {
 
     fn count(&mut self, agent: &Agent) {
         let replay = agent.replay();
-        let next = replay.next_index();
-        let from = self.counted.max(replay.first_index()).max(next.saturating_sub(NEWEST));
-        for index in from..next {
+        for index in uncounted(replay, self.counted) {
             self.place.clear();
             self.goal.place(replay.get(replay.slot(index)).transition.next_obs, &mut self.place);
             self.path.near(&self.place, &mut self.stack, &mut self.hits);
             self.hits.iter().for_each(|hit| self.visited[hit.state as usize] += 1);
         }
-        self.counted = next;
+        self.counted = replay.next_index();
     }
-}
-
-/// The mentor states of `experiment`'s waypoints that begin a step; none without waypoints.
-pub(super) fn steps(experiment: &Experiment) -> impl Iterator<Item = usize> {
-    let of = experiment.waypoints.iter().flat_map(|waypoints| waypoints.transition_of.iter().enumerate());
-    of.filter(|(_, transition)| **transition != NONE).map(|(m, _)| m)
 }

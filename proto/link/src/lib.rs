@@ -16,7 +16,7 @@ pub mod pulse;
 use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingError};
 use trestle_proto::annotation::AnnotationError;
-use trestle_proto::batch::{Batch, BatchError};
+use trestle_proto::batch::{Batch, BatchError, Checked};
 use trestle_proto::mentor::MentorTransitionsError;
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveError, ObserveRequest, Part};
 use trestle_proto::orders::{Orders, OrdersError};
@@ -144,7 +144,8 @@ pub trait LearnerLink {
     fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// The next message of any actor, if one comes within `timeout`. A batch is copied into `batch` and checked; its
     /// actor is one of the run's.
-    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError>;
+    fn recv(&mut self, batch: &mut Checked<Batch>, timeout: Duration)
+    -> Result<Option<FromActor>, LinkError>;
     /// Hands the parts of one round to the mentor-server's history and waits for its answer to each.
     fn observe(
         &mut self,

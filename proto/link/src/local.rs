@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingHeader, Room};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Checked, Spaces};
 use trestle_proto::limits::{OBSERVE_DEADLINE, QUERY_DEADLINE, REPLIES_BUFFER, TRANSITIONS_BUFFER};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
@@ -55,10 +55,9 @@ pub struct LocalLearner {
     generation: u16,
     sizes: Vec<u32>,
     obs_dim: usize,
-    n_actions: usize,
+    spaces: Spaces,
     mentor_len: usize,
     published: Published,
-    actors: usize,
     orders: Arc<Newest>,
     inbox: Receiver<ToLearner>,
     mentor: SyncSender<Request>,
@@ -95,10 +94,9 @@ pub fn connect(plan: &RunPlan) -> (LocalLearner, LocalMentor, Vec<LocalActor>) {
         generation: life.generation,
         sizes,
         obs_dim: experiment.spec.obs_dim(),
-        n_actions: experiment.spec.n_actions(),
+        spaces: experiment.spaces(),
         mentor_len: experiment.mentor_len(),
         published,
-        actors,
         orders,
         inbox,
         mentor: to_mentor,
@@ -209,15 +207,16 @@ impl LearnerLink for LocalLearner {
         Err(gone("the mentor-server"))
     }
 
-    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+    fn recv(
+        &mut self,
+        batch: &mut Checked<Batch>,
+        timeout: Duration,
+    ) -> Result<Option<FromActor>, LinkError> {
         match waited(self.inbox.recv_timeout(timeout), "waiting for actors")? {
             None => Ok(None),
             Some(ToLearner::Reply(reply)) => Ok(Some(FromActor::Reply(reply))),
             Some(ToLearner::Batch(header, payload)) => {
-                if header.actor as usize >= self.actors {
-                    return Err(LinkError::Unexpected(format!("batch {header:?}")));
-                }
-                batch.receive(header, &payload, self.obs_dim, self.n_actions)?;
+                batch.receive(header, &payload, &self.spaces)?;
                 Ok(Some(FromActor::Batch))
             }
         }

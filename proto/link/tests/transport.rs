@@ -14,7 +14,7 @@ use trestle_link::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, 
 use trestle_proto::NONE;
 use trestle_proto::acting::Acting;
 use trestle_proto::annotation::{AnnotationTable, Estimate};
-use trestle_proto::batch::{Batch, BatchHeader, FIRST, Transition};
+use trestle_proto::batch::{Batch, BatchHeader, Checked, FIRST, Spaces, Transition};
 use trestle_proto::config::{self, Config};
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::limits::WAIT_SLICE;
@@ -106,17 +106,15 @@ impl MentorHandler for Canned {
         if request.first_index > 1000 {
             return ObserveAnswer { status: OUT_OF_RANGE, ..Default::default() };
         }
-        let mut batch = Batch::default();
         while let Some(part) = Part::take(&mut payload, request.obs_dim as usize) {
-            let header = BatchHeader { count: part.count, obs_dim: request.obs_dim, ..Default::default() };
-            batch.receive(header, part.payload, 2, 3).unwrap();
+            let batch = part.check(&Spaces { actors: ACTORS, obs_dim: 2, n_actions: 3 }).unwrap();
             let mut table = AnnotationTable::new(MENTOR, 2, 3);
             table.set_estimate(
                 part.actor as usize,
                 &Estimate { action: 1, e_kl: 0.5, start_kl: 0.0, reward: -1.0 },
             );
             let mut answer = Observed::default();
-            answer.mentor.extend(batch.actions().iter().map(|&a| if a == 0 { 1 } else { NONE }));
+            answer.mentor.extend((0..batch.len()).map(|at| if batch.get(at).action == 0 { 1 } else { NONE }));
             table.encode(part.actor as usize, &mut answer.changed);
             answer.encode(2, out);
         }
@@ -144,8 +142,8 @@ fn mentor(mut link: impl MentorLink, requests: usize, over: Receiver<()>) {
 
 fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     link.welcome(&|| false).unwrap();
-    let mut batches = vec![Batch::with_capacity(4, 2); ACTORS as usize];
-    let (mut spare, mut answers) = (Batch::default(), Answers::default());
+    let mut batches = vec![Checked::with_capacity(4, 2); ACTORS as usize];
+    let (mut spare, mut answers) = (Checked::<Batch>::default(), Answers::default());
     let mut orders = Orders { run: plan.life.run, ..Orders::default() };
     for round in 1..=200u64 {
         (orders.round, orders.weights_version) = (round, round - 1);
@@ -174,7 +172,7 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
             obs_dim: 2,
             reserved: 0,
         };
-        let parts: Vec<Part<'_>> = batches.iter().map(Part::of).collect();
+        let parts: Vec<Part<'_>> = batches.iter().map(|batch| Part::of(batch)).collect();
         link.observe(&request, &parts, &mut answers).unwrap();
         for (actor, answer) in answers.parts().iter().enumerate() {
             assert_eq!(answer.mentor, [if actor == 0 { 1 } else { NONE }; 4]);

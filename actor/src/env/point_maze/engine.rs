@@ -26,7 +26,7 @@ impl Engine {
             Backend::Builtin => Ok(Self::Builtin(Physics::new(geometry.clone(), settings.contact_margin))),
             Backend::Mujoco => {
                 let library = mujoco::library()?;
-                Ok(Self::Mujoco(Simulation::new(library, geometry, settings.contact_margin)?))
+                Ok(Self::Mujoco(library.simulation(geometry, settings.contact_margin)?))
             }
         }
     }

@@ -1,7 +1,7 @@
 //! Once an agent is under way it allocates nothing, whatever it learns with: neither for a batch that comes in nor for
 //! a gradient step.
 
-use super::{agent, live};
+use super::{SPACES, agent, live};
 use allocation_counter::measure;
 use trestle_proto::batch::Transition;
 
@@ -14,10 +14,11 @@ fn allocations(sets: &[&str]) -> Vec<[u64; 2]> {
     for _ in 0..8 {
         let (random, observed) = world.batch(0, 8);
         // The end of an episode is reported in a list.
-        let mut batch = random.clone();
+        let mut batch = random.clone().into_inner();
         for at in 0..batch.len() {
             batch.set(at, &Transition { flags: 0, ..random.transition(at) });
         }
+        let batch = batch.check(&SPACES).unwrap();
         let before = agent.counters().grad_steps;
         let ingest = measure(|| _ = agent.ingest(&batch, observed.as_ref()).unwrap());
         let train = measure(|| _ = agent.train(|| ()).unwrap());

@@ -2,7 +2,6 @@
 
 use super::{agent, live};
 use crate::agent::{Agent, TrainStats};
-use crate::rivals::Shown;
 use crate::testing::{Walked, World};
 use proptest::prelude::*;
 use trestle_proto::NONE;
@@ -101,17 +100,16 @@ fn word(memory: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(memory[4 * at..][..4].try_into().unwrap())
 }
 
-/// Q_o^past and Q_m^past of `slot`, as `min-distance` remembers them.
-fn past(agent: &Agent, slot: usize) -> [f32; 2] {
-    let memory = agent.selection().unwrap();
-    [slot, agent.replay().len() + slot].map(|at| f32::from_bits(word(&memory, at)))
+/// Q_o^past and Q_m^past of `slot` in what `min-distance` remembers.
+fn past(agent: &Agent, memory: &[u8], slot: usize) -> [f32; 2] {
+    [slot, agent.replay().len() + slot].map(|at| f32::from_bits(word(memory, at)))
 }
 
-/// All terms of the drawn samples; none if a choice hangs on the last bits. `drawn`: the mentor transitions drawn with
-/// them, if any were.
+/// All terms of the drawn samples; none if a choice hangs on the last bits. `memory`: what the selection rule remembered
+/// before. `drawn`: the mentor transitions drawn with them, if any were.
 fn naive_terms(
     agent: &Agent,
-    selection: &str,
+    (selection, memory): (&str, &[u8]),
     world: &World,
     slots: &[u32],
     drawn: &[u32],
@@ -150,10 +148,9 @@ fn naive_terms(
         if let Some((m, j, (action, next, terminal, reward, feasible))) = mentor {
             let of_s_m = naive_q(agent, online, m.transitions.state(j))?;
             let q_m = of_s_m[action as usize];
-            let memory = m.selection.save();
             phi = match selection {
                 "min-distance" => {
-                    let [past_o, past_m] = past(agent, slot as usize);
+                    let [past_o, past_m] = past(agent, memory, slot as usize);
                     let (move_o, move_m) = ((q_o - f64::from(past_o)).abs(), (q_m - f64::from(past_m)).abs());
                     if (move_o - move_m).abs() < 1e-6 {
                         return None;
@@ -163,7 +160,7 @@ fn naive_terms(
                 "confidence" => {
                     // β and e_max are the defaults, c_max is the test's.
                     let sigmoid = 1.0 / (1.0 + (of_s_m[own.action as usize] - q_m).exp());
-                    let count = f64::from(word(&memory, j)).min(f64::from(C_MAX));
+                    let count = f64::from(word(memory, j)).min(f64::from(C_MAX));
                     let phi = sigmoid * (1.0 + count).ln() / (1.0 + f64::from(C_MAX)).ln();
                     let zeta = 1.0 - f64::from(m.annotations.errors()[j]);
                     if feasible { phi.min(zeta) } else { phi }
@@ -227,20 +224,15 @@ proptest! {
         let (mut agent, mut world) = agent(&sets.each_ref().map(String::as_str), seed);
         live(&mut agent, &mut world, 12);
 
-        // One step up to its gradient, with the agent's own stages.
         let (online, target) = agent.network().with_params(|o, t| (o.to_vec(), t.to_vec())).unwrap();
         let mut stats = TrainStats::default();
-        let Agent { settings, encoding, network, replay, mentor, rng, step, .. } = &mut agent;
-        step.draw(replay, mentor.as_ref(), settings.draw, rng, 8);
-        let (slots, drawn) = (step.slots().to_vec(), step.drawn().to_vec());
-        step.collect(replay, mentor.as_ref(), &settings.rule, encoding);
-        step.forward_values(network).unwrap();
-        step.choose(replay, mentor.as_ref(), Shown::default(), settings, encoding, &mut stats);
-        step.forward_targets(network, settings).unwrap();
-        step.differentiate(network, settings, &mut stats).unwrap();
-        let grad = step.grad.clone();
+        let memory = agent.selection().unwrap_or_default();
+        agent.differentiate(&mut stats).unwrap();
+        let (samples, grad) = (&agent.step.samples, &agent.step.gradient);
+        let (slots, drawn) = (samples.slots(), samples.drawn());
 
-        let Some(naive) = naive_terms(&agent, selection, &world, &slots, &drawn, &online, &target) else {
+        let chosen = (selection, memory.as_slice());
+        let Some(naive) = naive_terms(&agent, chosen, &world, slots, drawn, &online, &target) else {
             return Err(TestCaseError::reject("it hangs on the last bits"));
         };
         let x: Vec<f32> = naive.iter().flat_map(|t| t.obs.iter().map(|v| v / 4.0)).collect();
@@ -291,11 +283,12 @@ fn past_values_are_set_at_insertion_and_refreshed_when_drawn() {
     agent.ingest(&batch, observed.as_ref()).unwrap();
     let close = |a: f32, b: f32| assert!((a - b).abs() < 1e-4, "{a} {b}");
     let mut with_term = 0;
+    let memory = agent.selection().unwrap();
     let slots: Vec<usize> = (agent.replay().next_index() - 8..agent.replay().next_index())
         .map(|i| agent.replay().slot(i))
         .collect();
     for (at, &slot) in slots.iter().enumerate() {
-        let (entry, [past_o, past_m]) = (agent.replay().get(slot), past(&agent, slot));
+        let (entry, [past_o, past_m]) = (agent.replay().get(slot), past(&agent, &memory, slot));
         let j = observed.as_ref().unwrap().mentor[at];
         assert_eq!(entry.mentor, (j != NONE).then_some(j as usize));
         let Some(j) = entry.mentor else {
@@ -314,13 +307,14 @@ fn past_values_are_set_at_insertion_and_refreshed_when_drawn() {
     }
     assert!(with_term > 0);
 
-    let before: Vec<f32> = (0..40).map(|slot| past(&agent, slot)[0]).collect();
+    let before: Vec<f32> = (0..40).map(|slot| past(&agent, &memory, slot)[0]).collect();
     let weights = agent.weights().to_vec();
     let mut stats = TrainStats::default();
     agent.gradient_step(&mut stats).unwrap();
-    let drawn = agent.step.slots().to_vec();
+    let memory = agent.selection().unwrap();
+    let drawn = agent.step.samples.slots().to_vec();
     for (slot, before) in before.iter().enumerate() {
-        let (entry, [past_o, _]) = (agent.replay().get(slot), past(&agent, slot));
+        let (entry, [past_o, _]) = (agent.replay().get(slot), past(&agent, &memory, slot));
         if entry.mentor.is_some() && drawn.contains(&(slot as u32)) {
             let t = entry.transition;
             close(past_o, naive_q(&agent, &weights, t.obs).unwrap()[t.action as usize] as f32);

@@ -7,7 +7,11 @@ mod counts;
 mod gradient;
 
 use super::Agent;
-use crate::testing::{World, demonstration, experiment};
+use crate::testing::{N_ACTIONS, World, demonstration, experiment};
+use trestle_proto::batch::Spaces;
+
+/// Those of the test's plans, with room for more actors.
+const SPACES: Spaces = Spaces { actors: 8, obs_dim: 2, n_actions: N_ACTIONS as usize };
 
 /// A new agent and its world.
 fn agent(sets: &[&str], seed: u64) -> (Agent, World) {

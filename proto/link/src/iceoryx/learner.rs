@@ -13,7 +13,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use std::time::{Duration, Instant};
 use trestle_proto::acting::{Acting, ActingHeader};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::limits::{ASSEMBLY, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
@@ -195,7 +195,7 @@ impl IceoryxLearner {
         }
     }
 
-    fn try_recv(&self, batch: &mut Batch) -> Result<Option<FromActor>, LinkError> {
+    fn try_recv(&self, batch: &mut Checked<Batch>) -> Result<Option<FromActor>, LinkError> {
         let Services { run, sizes, .. } = &self.services;
         // Replies first: an actor answers an evaluation before it sends the next batch.
         if let Some(sample) = self.replies.receive().map_err(failed("receiving a reply"))? {
@@ -210,10 +210,10 @@ impl IceoryxLearner {
             return Ok(None);
         };
         let header = sample.user_header().0;
-        if header.run != *run || header.actor as usize >= sizes.actors {
+        if header.run != *run {
             return Err(LinkError::Unexpected(format!("batch {header:?}")));
         }
-        batch.receive(header, sample.payload(), sizes.obs_dim, sizes.n_actions)?;
+        batch.receive(header, sample.payload(), &sizes.spaces)?;
         Ok(Some(FromActor::Batch))
     }
 
@@ -307,7 +307,11 @@ impl LearnerLink for IceoryxLearner {
         self.reached("a set of weights", found)
     }
 
-    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+    fn recv(
+        &mut self,
+        batch: &mut Checked<Batch>,
+        timeout: Duration,
+    ) -> Result<Option<FromActor>, LinkError> {
         self.wait(timeout, |link| link.try_recv(batch))
     }
 

@@ -7,7 +7,7 @@ use iceoryx2::prelude::{EventId, Node};
 use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
 use trestle_proto::acting::{ActingHeader, Lengths, Room};
 use trestle_proto::annotation::record_words;
-use trestle_proto::batch::{self, BatchHeader};
+use trestle_proto::batch::{self, BatchHeader, Spaces};
 use trestle_proto::config::Mode;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{
@@ -35,8 +35,8 @@ pub struct Sizes {
     pub actors: usize,
     /// Features of an observation.
     pub obs_dim: usize,
-    /// Actions.
-    pub n_actions: usize,
+    /// What transitions can be.
+    pub spaces: Spaces,
     /// Units of the network's layers.
     pub network: Vec<u32>,
     /// Words of a batch.
@@ -60,7 +60,7 @@ impl Sizes {
         Self {
             actors: experiment.config.run.actors as usize,
             obs_dim: experiment.spec.obs_dim(),
-            n_actions: experiment.spec.n_actions(),
+            spaces: experiment.spaces(),
             network: network.into_iter().map(|n| n as u32).collect(),
             batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.obs_dim()),
             acting: experiment.acting(),

@@ -25,13 +25,21 @@ const AGREEMENT: f64 = 1e-9;
 /// A library that works.
 #[derive(Clone)]
 pub struct Found {
-    pub(super) api: Arc<Api>,
+    api: Arc<Api>,
     path: PathBuf,
     /// What was passed over on the way to it, and why.
     passed_over: Vec<String>,
 }
 
 impl Found {
+    /// The maze of `geometry`, with walls that push from `margin` metres on.
+    ///
+    /// # Errors
+    /// A map with too many walls, or a model that MuJoCo does not accept.
+    pub fn simulation(&self, geometry: &Geometry, margin: f64) -> Result<Simulation, MujocoError> {
+        Simulation::new(&self.api, geometry, margin)
+    }
+
     /// Its version.
     pub fn version(&self) -> Version {
         self.api.version
@@ -122,8 +130,7 @@ fn open(path: &Path) -> Result<Arc<Api>, MujocoError> {
     let api = Arc::new(Api::load(path)?);
     let map = Map::parse("probe", "S.G\n").map_err(|e| MujocoError::Model { message: e.to_string() })?;
     let geometry = Geometry::new(map, Layout::Gymnasium);
-    let found = Found { api, path: path.into(), passed_over: Vec::new() };
-    let mut simulation = Simulation::new(&found, &geometry, 0.002)?;
+    let mut simulation = Simulation::new(&api, &geometry, 0.002)?;
     let physics = Physics::new(geometry, 0.002);
     // Free flight, a wall within the margin, a wall that is pushed into, and a corner.
     for (position, velocity) in [
@@ -145,7 +152,7 @@ fn open(path: &Path) -> Result<Arc<Api>, MujocoError> {
             return Err(MujocoError::Differs { path: path.into(), version, found, expected });
         }
     }
-    Ok(found.api)
+    Ok(api)
 }
 
 #[cfg(test)]

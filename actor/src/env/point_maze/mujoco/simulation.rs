@@ -5,7 +5,6 @@
 
 use super::MujocoError;
 use super::api::{Api, Data, Loader, Model, Version, take_report};
-use super::library::Found;
 use super::model::xml;
 use crate::env::point_maze::geometry::{Geometry, Vector};
 use crate::env::point_maze::physics::Body;
@@ -30,12 +29,12 @@ pub struct Simulation {
 unsafe impl Send for Simulation {}
 
 impl Simulation {
-    /// The maze of `geometry` in the library `found`, with walls that push from `margin` metres on.
+    /// The maze of `geometry` in the library `api`, with walls that push from `margin` metres on.
     ///
     /// # Errors
     /// A map with too many walls, or a model that MuJoCo does not accept.
-    pub fn new(found: &Found, geometry: &Geometry, margin: f64) -> Result<Self, MujocoError> {
-        let api = found.api.clone();
+    pub(super) fn new(api: &Arc<Api>, geometry: &Geometry, margin: f64) -> Result<Self, MujocoError> {
+        let api = api.clone();
         let text = xml(geometry, margin, api.version)?;
         let model = load(&api, &text)?;
         // SAFETY: `model` is a model of this library.

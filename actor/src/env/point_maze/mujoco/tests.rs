@@ -1,7 +1,7 @@
 //! The two back ends against each other. Where there is no libmujoco the tests say that they are skipped.
 #![allow(clippy::unwrap_used)]
 
-use super::{Found, MujocoError, Simulation, library};
+use super::{Found, MujocoError, library};
 use crate::env::grid::Map;
 use crate::env::point_maze::Layout;
 use crate::env::point_maze::geometry::{Geometry, Vector};
@@ -62,7 +62,7 @@ fn one_step_is_the_same() {
     let mut rng = stream(1, Purpose::Environment, 0);
     for geometry in geometries() {
         for margin in [0.002, 0.004] {
-            let mut simulation = Simulation::new(found, &geometry, margin).unwrap();
+            let mut simulation = found.simulation(&geometry, margin).unwrap();
             let physics = Physics::new(geometry.clone(), margin);
             for _ in 0..1000 {
                 let start = anywhere(&geometry, &mut rng);
@@ -82,7 +82,7 @@ fn three_hundred_steps_are_the_same() {
     let Some(found) = found() else { return };
     let mut rng = stream(2, Purpose::Environment, 0);
     for geometry in geometries() {
-        let mut simulation = Simulation::new(found, &geometry, 0.002).unwrap();
+        let mut simulation = found.simulation(&geometry, 0.002).unwrap();
         let physics = Physics::new(geometry.clone(), 0.002);
         let start = Body { position: geometry.place(geometry.map().start()), ..Body::default() };
         let (mut theirs, mut ours) = (start, start);
@@ -104,7 +104,7 @@ fn three_hundred_steps_are_the_same() {
 fn a_step_depends_on_the_state_alone() {
     let Some(found) = found() else { return };
     let geometry = &geometries()[2];
-    let [mut used, mut fresh] = [0; 2].map(|_| Simulation::new(found, geometry, 0.002).unwrap());
+    let [mut used, mut fresh] = [0; 2].map(|_| found.simulation(geometry, 0.002).unwrap());
     let mut rng = stream(3, Purpose::Environment, 0);
     for _ in 0..200 {
         let start = anywhere(geometry, &mut rng);
@@ -120,7 +120,7 @@ fn a_step_depends_on_the_state_alone() {
 #[test]
 fn what_mujoco_reports_is_an_error() {
     let Some(found) = found() else { return };
-    let mut simulation = Simulation::new(found, &geometries()[0], 0.002).unwrap();
+    let mut simulation = found.simulation(&geometries()[0], 0.002).unwrap();
     let start = Body { position: [1.0, 1.0], velocity: [1e300, 0.0] };
     let mut body = start;
     let message = simulation.advance(&mut body, [0.0; 2], 1).unwrap_err().to_string();
