@@ -251,7 +251,7 @@ mod tests {
                 run(&mut link, plan, &mut worker, &|| over.load(Ordering::Relaxed)).unwrap();
             });
             let announced = |learner: &mut local::LocalLearner| match learner
-                .recv(&mut Checked::default(), 100 * WAIT_SLICE)
+                .recv(&mut Checked::default(), 1, 100 * WAIT_SLICE)
                 .unwrap()
                 .unwrap()
             {

@@ -31,7 +31,7 @@ use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 /// Mentor transitions of the plan: they only say how large an answer may get.
 const MENTOR: usize = 100;
 /// How long to wait for a batch before looking whether the peers still live.
-const PATIENCE: Duration = Duration::from_millis(200);
+pub(super) const PATIENCE: Duration = Duration::from_millis(200);
 
 /// What is exchanged.
 #[derive(Clone, Copy)]
@@ -43,6 +43,8 @@ pub(super) struct Setup {
     pub(super) burst: u32,
     /// Whether a mentor-server is asked about the batches.
     pub(super) mentor: bool,
+    /// Whether actors stream, as in free mode.
+    pub(super) free: bool,
 }
 
 /// One way to exchange messages.
@@ -50,6 +52,9 @@ pub(super) trait Exchange {
     /// One tick: weights if `publish`, orders, batches from every actor, and the mentor-server's answer to the last one of
     /// each actor.
     fn tick(&mut self, publish: bool) -> Result<()>;
+
+    /// The processes at the other end, in the order in which they were started.
+    fn peers(&self) -> Vec<u32>;
 }
 
 /// Both ways, one as the other.
@@ -103,6 +108,7 @@ impl Setup {
             format!("run.actors={}", self.actors),
             format!("run.rollout={}", self.rollout),
             "learner.hidden=[128, 128]".into(),
+            format!("run.mode={}", if self.free { "free" } else { "lockstep" }),
         ];
         // Process ids have 22 bits, and a run's identity 32: none meets this one.
         static NEXT: AtomicU32 = AtomicU32::new(16);
@@ -136,18 +142,18 @@ impl Setup {
 
 /// The learner's own side, whichever way.
 pub(super) struct Learner {
-    plan: RunPlan,
+    pub(super) plan: RunPlan,
     /// Batches that each actor sends a tick.
     burst: u32,
-    acting: Acting,
+    pub(super) acting: Acting,
     /// The last tick, and the last one that published weights.
-    number: u64,
+    pub(super) number: u64,
     version: u64,
     /// Transitions taken in.
     index: u64,
     /// The newest of each actor.
     batches: Vec<Checked<Batch>>,
-    answers: Answers,
+    pub(super) answers: Answers,
     interrupted: Arc<AtomicBool>,
 }
 
@@ -186,16 +192,16 @@ impl Learner {
         Ok(orders)
     }
 
-    /// The question about the newest batches.
-    fn question(&mut self) -> ObserveRequest {
+    /// The question about `batches`.
+    pub(super) fn question(&mut self, batches: &[Checked<Batch>]) -> ObserveRequest {
         let first_index = self.index;
-        self.index += self.batches.iter().map(|batch| batch.len() as u64).sum::<u64>();
+        self.index += batches.iter().map(|batch| batch.len() as u64).sum::<u64>();
         ObserveRequest {
             run: self.plan.life.run,
             round: self.number,
             first_index,
             op: OBSERVE,
-            count: self.batches.len() as u32,
+            count: batches.len() as u32,
             obs_dim: self.plan.experiment.spec.obs_dim() as u32,
             reserved: 0,
         }
@@ -204,14 +210,14 @@ impl Learner {
 
 /// Over iceoryx2, through the very ports that a run uses.
 pub(super) struct SharedMemory {
-    link: IceoryxLearner,
-    learner: Learner,
-    peers: Peers,
+    pub(super) link: IceoryxLearner,
+    pub(super) learner: Learner,
+    pub(super) peers: Peers,
 }
 
 impl SharedMemory {
     /// With the peers of this program, which do no work.
-    fn with_own_peers(setup: Setup) -> Result<Self> {
+    pub(super) fn with_own_peers(setup: Setup) -> Result<Self> {
         let (plan, dir) = prepared(setup)?;
         let peers = setup.peers("", &dir.0)?;
         Self::new(Learner::new(plan, setup.burst)?, peers, dir)
@@ -228,11 +234,6 @@ impl SharedMemory {
         link.welcome(&|| learner.interrupted.load(Ordering::Relaxed))?;
         Ok(Self { link, learner, peers: own })
     }
-
-    /// The processes at the other end, in the order in which they were started.
-    pub(super) fn peers(&self) -> Vec<u32> {
-        self.peers.children.iter().map(Child::id).collect()
-    }
 }
 
 impl Exchange for SharedMemory {
@@ -246,7 +247,7 @@ impl Exchange for SharedMemory {
         let mut spare = Checked::default();
         let mut missing = learner.batches.len() * learner.burst as usize;
         while missing > 0 {
-            match link.recv(&mut spare, PATIENCE)? {
+            match link.recv(&mut spare, missing as u32, PATIENCE)? {
                 Some(FromActor::Batch) => {
                     missing -= 1;
                     let actor = spare.header.actor as usize;
@@ -258,11 +259,17 @@ impl Exchange for SharedMemory {
             }
         }
         if !learner.plan.experiment.mentors.is_empty() {
-            let question = learner.question();
-            let parts: Vec<Part<'_>> = learner.batches.iter().map(|batch| Part::of(batch)).collect();
+            let batches = std::mem::take(&mut learner.batches);
+            let question = learner.question(&batches);
+            let parts: Vec<Part<'_>> = batches.iter().map(|batch| Part::of(batch)).collect();
             link.observe(&question, &parts, &mut learner.answers)?;
+            learner.batches = batches;
         }
         Ok(())
+    }
+
+    fn peers(&self) -> Vec<u32> {
+        self.peers.ids()
     }
 }
 
@@ -272,7 +279,7 @@ struct Sockets {
     mentor: Option<UnixStream>,
     learner: Learner,
     payload: Vec<u32>,
-    _peers: Peers,
+    peers: Peers,
 }
 
 impl Sockets {
@@ -287,7 +294,7 @@ impl Sockets {
         }
         let mentor = if setup.mentor { actors.pop() } else { None };
         let learner = Learner::new(plan, setup.burst)?;
-        Ok(Self { actors, mentor, learner, payload: Vec::new(), _peers: peers })
+        Ok(Self { actors, mentor, learner, payload: Vec::new(), peers })
     }
 }
 
@@ -317,8 +324,9 @@ impl Exchange for Sockets {
             }
         }
         if let Some(mentor) = mentor {
-            let question = learner.question();
-            let parts: Vec<Part<'_>> = learner.batches.iter().map(|batch| Part::of(batch)).collect();
+            let batches = std::mem::take(&mut learner.batches);
+            let question = learner.question(&batches);
+            let parts: Vec<Part<'_>> = batches.iter().map(|batch| Part::of(batch)).collect();
             payload.clear();
             parts.iter().for_each(|part| payload.extend(part.header().iter().chain(part.payload)));
             mentor.write_all(bytes_of(&question))?;
@@ -331,8 +339,13 @@ impl Exchange for Sockets {
             mentor.read_exact(cast_slice_mut(payload))?;
             let counts = parts.iter().map(|part| part.count as usize);
             learner.answers.receive(&answer, payload, counts, obs_dim, MENTOR)?;
+            learner.batches = batches;
         }
         Ok(())
+    }
+
+    fn peers(&self) -> Vec<u32> {
+        self.peers.ids()
     }
 }
 
@@ -351,7 +364,7 @@ fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
 }
 
 /// The processes at the other end, and what they share. Nothing of it remains when this goes.
-struct Peers {
+pub(super) struct Peers {
     children: Vec<Child>,
     services: Option<Services>,
     /// Goes after everything that lives in it.
@@ -368,8 +381,21 @@ impl Peers {
         Ok(())
     }
 
+    fn ids(&self) -> Vec<u32> {
+        self.children.iter().map(Child::id).collect()
+    }
+
+    /// Ends all of them.
+    fn end(&mut self) {
+        for child in &mut self.children {
+            // It may have left already.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+
     /// Whether all of them still live.
-    fn check(&mut self) -> Result<()> {
+    pub(super) fn check(&mut self) -> Result<()> {
         for child in &mut self.children {
             if let Some(status) = child.try_wait()? {
                 bail!("a peer of the benchmark has left: {status}");
@@ -381,11 +407,14 @@ impl Peers {
 
 impl Drop for Peers {
     fn drop(&mut self) {
-        for child in &mut self.children {
-            // It may have left already.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
+        self.end();
         self.services = None;
+    }
+}
+
+/// An actor that streams must not find the learner gone.
+impl Drop for SharedMemory {
+    fn drop(&mut self) {
+        self.peers.end();
     }
 }

@@ -1,7 +1,7 @@
 //! `idle`: what the processes of a run use while they wait for work.
 
 use super::Effort;
-use super::exchange::{Learner, SharedMemory};
+use super::exchange::{Exchange, Learner, SharedMemory};
 use super::program::{RUN, Scratch, training, trestle};
 use super::report::Row;
 use anyhow::{Context, Result, ensure};

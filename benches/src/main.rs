@@ -1,7 +1,7 @@
 //! `trestle-bench [NAME] [--json]`: what the documentation quotes, measured on this machine.
 //!
 //! - `step`, `infer`, `replay`, `mentor`: functions, in CPU time of this thread;
-//! - `tick` (with `message` and `weights`): messages, in wall time, with peers that are processes of this program;
+//! - `tick` (with `message` and `weights`), `free`: messages, in wall time, with peers that are processes of this program;
 //! - `idle`, `memory`: what the processes of `trestle` take while they wait, and at most;
 //! - `run_loop`: whole runs of `trestle`.
 //!
@@ -10,6 +10,7 @@
 
 mod clock;
 mod exchange;
+mod free;
 mod idle;
 mod infer;
 mod memory;
@@ -19,6 +20,7 @@ mod program;
 mod replay;
 mod report;
 mod run_loop;
+mod sleeps;
 mod step;
 mod tick;
 
@@ -57,6 +59,8 @@ enum Benchmark {
     Mentor,
     /// A lockstep tick whose processes do nothing else
     Tick,
+    /// Batches of actors that stream, without work
+    Free,
     /// Batches of transitions
     Message,
     /// Publications of weights
@@ -78,6 +82,7 @@ impl Benchmark {
             Benchmark::Replay => replay::run(effort),
             Benchmark::Mentor => mentor::run(effort),
             Benchmark::Tick => tick::tick(effort),
+            Benchmark::Free => free::run(effort),
             Benchmark::Message => tick::message(effort),
             Benchmark::Weights => tick::weights(effort),
             Benchmark::Idle => idle::run(effort),

@@ -14,6 +14,7 @@ use trestle_link::{ActorLink, MentorHandler, MentorLink};
 use trestle_proto::NONE;
 use trestle_proto::acting::{Acting, ActingHeader, Room};
 use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
@@ -32,7 +33,7 @@ pub(super) fn run(args: &[String]) -> Result<()> {
     match role.as_str() {
         "actor" => {
             let link = IceoryxActor::new(&Domain::of(plan.life.run), &plan, index)?;
-            act(link, &mut Actor::new(&plan, index), burst, &stop)
+            act(link, &mut Actor::new(&plan, index), &stop)
         }
         "mentor-server" => {
             let mut link = IceoryxMentor::new(&Domain::of(plan.life.run), &plan)?;
@@ -91,14 +92,17 @@ impl Actor {
     }
 }
 
-fn act(mut link: IceoryxActor, actor: &mut Actor, burst: u32, stop: &dyn Fn() -> bool) -> Result<()> {
+fn act(mut link: IceoryxActor, actor: &mut Actor, stop: &dyn Fn() -> bool) -> Result<()> {
     link.hello(stop)?;
+    let mut sent = 0;
     while !stop() {
         let Some(orders) = link.recv_orders(WAIT_SLICE)? else { continue };
         link.acting(0, orders.weights_version)?;
+        let granted = orders.granted(actor.index, Incarnation::default());
         let batch = actor.answer(&orders);
-        for _ in 0..burst {
+        while sent < granted {
             link.send_batch(batch)?;
+            sent += 1;
         }
     }
     Ok(())

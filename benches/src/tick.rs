@@ -5,6 +5,7 @@ use super::Effort;
 use super::clock::median;
 use super::exchange::{Both, Setup};
 use super::report::Row;
+use super::sleeps::Sleeps;
 use anyhow::Result;
 use std::time::Instant;
 
@@ -16,38 +17,45 @@ const WARM_UP: usize = 100;
 /// Batches that are sent in one go in `message`: fewer than may wait for the learner.
 const BURST: u32 = 32;
 
-/// The medians of a tick's time over shared memory and over sockets, microseconds.
-fn pair(both: &mut Both, publish: bool, effort: Effort) -> Result<[f64; 2]> {
+/// The medians of a tick's time over shared memory and over sockets, microseconds; and how often all processes together fell asleep in
+/// a tick, on average.
+fn pair(both: &mut Both, publish: bool, effort: Effort) -> Result<([f64; 2], [f64; 2])> {
     let mut samples = [const { Vec::new() }; 2];
+    let mut slept = [0.0; 2];
     for exchange in &mut both.ways {
         (0..WARM_UP).try_for_each(|_| exchange.tick(publish))?;
     }
     for _ in 0..effort.pick(BLOCKS[0], BLOCKS[1]) {
-        for (exchange, samples) in both.ways.iter_mut().zip(&mut samples) {
+        for ((exchange, samples), slept) in both.ways.iter_mut().zip(&mut samples).zip(&mut slept) {
+            let sleeps = Sleeps::of(&exchange.peers())?;
             for _ in 0..BLOCK {
                 let start = Instant::now();
                 exchange.tick(publish)?;
                 samples.push(start.elapsed().as_secs_f64() * 1e6);
             }
+            *slept += sleeps.since()?;
         }
     }
-    Ok(samples.map(median))
+    let ticks = samples.each_ref().map(Vec::len);
+    Ok((samples.map(median), [0, 1].map(|way| slept[way] / ticks[way] as f64)))
 }
 
 /// A whole tick: weights, orders, batches, the mentor-server's answers.
 pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
-    for actors in [1, 2, 4] {
+    for actors in [1, 2, 4, 8, 16] {
         for rollout in [1, 8, 32] {
-            let mut both = Both::new(Setup { actors, rollout, burst: 1, mentor: true })?;
-            let [us, socket_us] = pair(&mut both, true, effort)?;
+            let mut both = Both::new(Setup { actors, rollout, burst: 1, mentor: true, free: false })?;
+            let ([us, socket_us], [sleeps, socket_sleeps]) = pair(&mut both, true, effort)?;
             rows.push(
                 Row::new()
                     .with("actors", actors)
                     .with("rollout", rollout)
                     .measured("us", us)
                     .measured("socket_us", socket_us)
-                    .measured("ratio", us / socket_us),
+                    .measured("ratio", us / socket_us)
+                    .measured("sleeps", sleeps)
+                    .measured("socket_sleeps", socket_sleeps),
             );
         }
     }
@@ -58,9 +66,10 @@ pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
 pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for batch in [32, 256] {
-        let mut both = Both::new(Setup { actors: 1, rollout: batch, burst: BURST, mentor: false })?;
+        let mut both =
+            Both::new(Setup { actors: 1, rollout: batch, burst: BURST, mentor: false, free: false })?;
         let each = |us: f64| us * 1e3 / f64::from(batch * BURST);
-        let [ns, socket_ns] = pair(&mut both, false, effort)?.map(each);
+        let [ns, socket_ns] = pair(&mut both, false, effort)?.0.map(each);
         rows.push(
             Row::new()
                 .with("batch", batch)
@@ -77,9 +86,10 @@ pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
 pub(super) fn weights(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for subscribers in [1, 4] {
-        let mut both = Both::new(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false })?;
-        let with = pair(&mut both, true, effort)?;
-        let without = pair(&mut both, false, effort)?;
+        let mut both =
+            Both::new(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false, free: false })?;
+        let (with, _) = pair(&mut both, true, effort)?;
+        let (without, _) = pair(&mut both, false, effort)?;
         let [us, socket_us] = [0, 1].map(|way| with[way] - without[way]);
         rows.push(
             Row::new()

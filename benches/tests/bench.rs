@@ -86,8 +86,10 @@ fn functions() {
 
 #[test]
 fn messages() {
-    let tick = rows("tick", &["actors", "rollout", "us", "socket_us"]);
+    let tick = rows("tick", &["actors", "rollout", "us", "socket_us", "sleeps", "socket_sleeps"]);
     assert!(distinct(&tick, "actors") > 1 && distinct(&tick, "rollout") > 1, "{tick:?}");
+    let free = rows("free", &["actors", "rollout", "us_a_batch", "batches_a_round", "sleeps_a_batch"]);
+    assert_eq!(distinct(&free, "actors"), 5, "{free:?}");
     rows("message", &["batch", "ns", "socket_ns"]);
     // The difference of two medians of few samples may well be negative.
     let weights = rows("weights", &["subscribers", "tick_us", "socket_tick_us"]);
@@ -129,8 +131,8 @@ fn a_wrong_name_gets_the_accepted_ones() {
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     let text = String::from_utf8(output.stderr).unwrap();
     for word in [
-        "nothing", "step", "infer", "replay", "mentor", "tick", "message", "weights", "idle", "memory",
-        "loop",
+        "nothing", "step", "infer", "replay", "mentor", "tick", "free", "message", "weights", "idle",
+        "memory", "loop",
     ] {
         assert!(text.contains(word), "`{word}` is missing: {text}");
     }

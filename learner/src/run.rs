@@ -253,8 +253,12 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
     /// on, and no less, so that no actor is overlooked.
     fn receive(&mut self) -> Result<(), RunError> {
         if self.barrier {
-            while self.came.len() < self.seats.len() || self.session.awaits_evaluation() {
-                self.next(WAIT_SLICE)?;
+            loop {
+                let evaluation = usize::from(self.session.awaits_evaluation());
+                match self.seats.len().saturating_sub(self.came.len()) + evaluation {
+                    0 => break,
+                    missing => self.next(missing, WAIT_SLICE)?,
+                };
             }
             self.came.sort_by_key(|came| match came {
                 Came::Batch(batch) => batch.header.actor,
@@ -264,7 +268,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         }
         let most = self.seats.len() * self.plan.experiment.window() as usize;
         let mut timeout = WAIT_SLICE;
-        while self.came.len() < most && self.next(timeout)? {
+        while self.came.len() < most && self.next(1, timeout)? {
             timeout = Duration::ZERO;
         }
         if self.link.mentor_waits() {
@@ -273,12 +277,13 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
         Ok(())
     }
 
-    /// Takes the next message, if one comes within `timeout`; false if none does. It is the supervisor that notices when a
+    /// Takes the next message, if one comes within `timeout`; false if none does. `missing` are the messages that the round cannot do
+    /// without, among them this one. It is the supervisor that notices when a
     /// process dies or hangs.
-    fn next(&mut self, timeout: Duration) -> Result<bool, RunError> {
+    fn next(&mut self, missing: usize, timeout: Duration) -> Result<bool, RunError> {
         let start = Instant::now();
         let mut batch = self.spare.pop().unwrap_or_default();
-        let message = self.link.recv(&mut batch, timeout)?;
+        let message = self.link.recv(&mut batch, missing as u32, timeout)?;
         if !timeout.is_zero() {
             self.session.waited_for_actors(start.elapsed());
         }
@@ -557,8 +562,12 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
 
     /// Those of all actors, once they have come, and the evaluation that was asked for has, too.
     fn await_snapshots(&mut self) -> Result<Vec<Vec<u8>>, RunError> {
-        while self.snapshots.iter().any(Option::is_none) || self.session.awaits_evaluation() {
-            self.next(WAIT_SLICE)?;
+        loop {
+            let snapshots = self.snapshots.iter().filter(|snapshot| snapshot.is_none()).count();
+            match snapshots + usize::from(self.session.awaits_evaluation()) {
+                0 => break,
+                missing => self.next(missing, WAIT_SLICE)?,
+            };
         }
         Ok(self.snapshots.iter_mut().filter_map(Option::take).collect())
     }
@@ -604,7 +613,7 @@ impl<'a, L: LearnerLink> Loop<'a, L> {
             if !self.barrier && (self.stop)() {
                 return Ok(false);
             }
-            self.next(WAIT_SLICE)?;
+            self.next(1, WAIT_SLICE)?;
             if !self.barrier {
                 self.pass_over();
             }

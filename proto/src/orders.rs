@@ -130,6 +130,16 @@ impl Orders {
         Collect { run: self.run, round: self.round, weights_version, env_steps: self.env_steps, steps }
     }
 
+    /// The actors, by index, that these orders give something to do which `former` did not: all of them where anything but shares and
+    /// the place in the schedule has changed.
+    pub fn concern(&self, former: &Self) -> impl Iterator<Item = usize> {
+        let Self { round, env_steps, weights_version, shares, .. } = *former;
+        let all = Self { round, env_steps, weights_version, shares, ..*self } != *former;
+        let mine = |share: &Share| (share.granted, share.incarnation);
+        let pairs = self.shares.into_iter().zip(shares).enumerate();
+        pairs.filter(move |(_, (new, old))| all || mine(new) != mine(old)).map(|(actor, _)| actor)
+    }
+
     /// Batches that incarnation `incarnation` of `actor` may have sent in all.
     pub fn granted(&self, actor: u32, incarnation: Incarnation) -> u64 {
         match self.shares.get(actor as usize) {
@@ -153,6 +163,22 @@ mod tests {
             assert!(matches!(Orders { episodes, ..good }.validate(5), Err(OrdersError::Episodes { .. })));
         }
         assert_eq!(Orders { evaluation: 0, episodes: 0, ..good }.validate(5), Ok(()));
+    }
+
+    #[test]
+    fn orders_concern_the_actors_whose_grant_has_changed_and_else_all() {
+        let former = Orders { run: 5, ..Orders::default() };
+        let concern = |orders: Orders| orders.concern(&former).collect::<Vec<_>>();
+        assert_eq!(concern(former), []);
+        assert_eq!(concern(Orders { round: 2, env_steps: 9, weights_version: 1, ..former }), []);
+        let mut granted = Orders { round: 2, ..former };
+        granted.shares[3].granted = 1;
+        granted.shares[7].incarnation = 1.into();
+        granted.shares[9].counted = 1;
+        assert_eq!(concern(granted), [3, 7]);
+        for orders in [Orders { stop: 1, ..former }, Orders { snapshot: 1, ..granted }] {
+            assert_eq!(concern(orders).len(), MAX_ACTORS as usize);
+        }
     }
 
     #[test]

@@ -143,9 +143,14 @@ pub trait LearnerLink {
     /// then requests for its history fail.
     fn rejoin_mentor(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// The next message of any actor, if one comes within `timeout`. A batch is copied into `batch` and checked; its
-    /// actor is one of the run's.
-    fn recv(&mut self, batch: &mut Checked<Batch>, timeout: Duration)
-    -> Result<Option<FromActor>, LinkError>;
+    /// actor is one of the run's. `wanted` is how many messages the caller cannot go on without, 1 or more: where there is none yet,
+    /// this process may sleep until so many have come.
+    fn recv(
+        &mut self,
+        batch: &mut Checked<Batch>,
+        wanted: u32,
+        timeout: Duration,
+    ) -> Result<Option<FromActor>, LinkError>;
     /// Hands the parts of one round to the mentor-server's history and waits for its answer to each.
     fn observe(
         &mut self,

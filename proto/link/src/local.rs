@@ -210,6 +210,7 @@ impl LearnerLink for LocalLearner {
     fn recv(
         &mut self,
         batch: &mut Checked<Batch>,
+        _: u32,
         timeout: Duration,
     ) -> Result<Option<FromActor>, LinkError> {
         match waited(self.inbox.recv_timeout(timeout), "waiting for actors")? {

@@ -150,8 +150,8 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
         link.send_acting(round - 1, &acting(round - 1)).unwrap();
         orders.shares[..ACTORS as usize].fill(Share { granted: round, ..Share::default() });
         link.send_orders(&orders).unwrap();
-        for _ in 0..ACTORS {
-            match link.recv(&mut spare, LONG).unwrap().expect("a batch in time") {
+        for missing in (1..=ACTORS).rev() {
+            match link.recv(&mut spare, missing, LONG).unwrap().expect("a batch in time") {
                 FromActor::Batch => {
                     let actor = spare.header.actor as usize;
                     std::mem::swap(&mut spare, &mut batches[actor]);
@@ -198,14 +198,14 @@ fn learn(mut link: impl LearnerLink, plan: &RunPlan) {
     link.send_orders(&orders).unwrap();
     let mut replies = Vec::new();
     while replies.len() < ACTORS as usize {
-        match link.recv(&mut spare, LONG).unwrap().expect("a reply in time") {
+        match link.recv(&mut spare, 1, LONG).unwrap().expect("a reply in time") {
             FromActor::Reply(reply) => replies.push((reply.header.actor, reply.payload)),
             FromActor::Batch => panic!("a batch of {}", spare.header.actor),
         }
     }
     replies.sort();
     assert_eq!(replies, [(0, vec![0; 70_000]), (1, vec![1; 70_000])]);
-    assert!(link.recv(&mut spare, Duration::from_millis(1)).unwrap().is_none());
+    assert!(link.recv(&mut spare, 1, Duration::from_millis(1)).unwrap().is_none());
     orders.stop = 1;
     link.send_orders(&orders).unwrap();
 }

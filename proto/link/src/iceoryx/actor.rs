@@ -1,20 +1,17 @@
 //! An actor's end of the transport.
 
+use super::bell::{Consumer, Ear, READY, WELCOME};
 use super::services::Services;
-use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
-use crate::pulse;
+use super::{Domain, Ipc, Wire, announce, failed, give_up_in_time};
 use crate::{ActorLink, LinkError, Stop};
 use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::AllocationStrategy;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
-use trestle_proto::limits::{ASSEMBLY, HELLO_INTERVAL};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Reply, ReplyHeader};
@@ -30,11 +27,10 @@ pub struct IceoryxActor {
     /// Generation and version of the newest weights received, and they themselves, kept because they may be acted with again.
     newest: Option<(u32, u64)>,
     copy: Acting,
-    orders: Subscriber<Ipc, Wire<Orders>, ()>,
+    orders: Subscriber<Ipc, [u8], Wire<Orders>>,
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
     replies: Publisher<Ipc, [u8], Wire<ReplyHeader>>,
-    listener: Listener<Ipc>,
-    learner: Notifier<Ipc>,
+    ear: Ear,
     services: Services,
 }
 
@@ -77,8 +73,7 @@ impl IceoryxActor {
                 .map_err(failed("creating the subscriber of orders"))?,
             transitions,
             replies,
-            listener: wake::listener(&services.wake_actors)?,
-            learner: wake::notifier(&services.wake_learner)?,
+            ear: services.bells.ear_of_actor(index as usize),
             services,
         })
     }
@@ -87,7 +82,7 @@ impl IceoryxActor {
         let Some(sample) = self.orders.receive().map_err(failed("receiving orders"))? else {
             return Ok(None);
         };
-        let orders = sample.payload().0;
+        let orders = sample.user_header().0;
         orders.validate(self.services.run)?;
         Ok(Some(orders))
     }
@@ -110,38 +105,22 @@ impl IceoryxActor {
 
 impl ActorLink for IceoryxActor {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
-        let start = Instant::now();
-        // A welcome from before does not count.
-        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
-        let mut welcome = false;
-        while !welcome {
-            if stop() {
-                return Err(LinkError::Interrupted("the learner"));
-            }
-            // In free mode the learner may be busy for long.
-            if !self.services.sizes.replaces && start.elapsed() > ASSEMBLY {
-                return Err(LinkError::Deadline {
-                    peer: "learner".into(),
-                    what: "hello",
-                    waited_ms: ASSEMBLY.as_millis(),
-                });
-            }
-            pulse::step();
-            wake::notify(&self.learner, wake::HELLO + self.index)?;
-            let mine = wake::WELCOME + self.index;
-            wake::sleep(&self.listener, HELLO_INTERVAL, |event| welcome |= event == mine)?;
-        }
+        let (ear, welcome) = (&self.ear, WELCOME + self.index);
+        let Services { bells, sizes, .. } = &self.services;
+        // One from before does not count.
+        ear.take_one(welcome);
+        announce(bells, sizes.replaces, self.index, stop, |interval| {
+            Ok(ear.wait(interval, || Ok(ear.take_one(welcome).then_some(())))?.is_some())
+        })?;
         self.weights.update_connections().map_err(failed("mapping the weights"))?;
         self.orders.update_connections().map_err(failed("mapping the orders"))?;
         self.transitions.update_connections().map_err(failed("mapping the learner"))?;
         self.replies.update_connections().map_err(failed("mapping the learner"))?;
-        wake::notify(&self.learner, wake::READY + self.index)
+        bells.call(Consumer::Learner, READY + self.index)
     }
 
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError> {
-        // An actor that is always busy must take notifications, too.
-        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
-        wake::wait(&self.listener, timeout, || self.try_orders())
+        self.ear.wait(timeout, || self.try_orders())
     }
 
     fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError> {
@@ -159,7 +138,7 @@ impl ActorLink for IceoryxActor {
         sample.user_header_mut().0 = batch.header;
         let found = sample.send().map_err(failed("sending a batch"))?;
         delivered("a batch", found)?;
-        wake::notify(&self.learner, wake::DATA)
+        self.services.bells.ring(Consumer::Learner)
     }
 
     fn send_reply(&mut self, reply: &Reply) -> Result<(), LinkError> {
@@ -171,7 +150,7 @@ impl ActorLink for IceoryxActor {
         sample.user_header_mut().0 = reply.header;
         let found = sample.send().map_err(failed("sending a reply"))?;
         delivered("a reply", found)?;
-        wake::notify(&self.learner, wake::DATA)
+        self.services.bells.ring(Consumer::Learner)
     }
 }
 

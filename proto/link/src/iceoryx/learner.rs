@@ -1,13 +1,12 @@
 //! The learner's end of the transport.
 
+use super::bell::{Consumer, Ear, HELLO, READY, ROLL_CALL, WELCOME, bit};
 use super::query::{self, ask};
 use super::services::{MENTOR_PEER, Services};
-use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
+use super::{Domain, Ipc, Wire, failed, give_up_in_time};
 use crate::pulse;
 use crate::{FromActor, LearnerLink, LinkError, Stop};
 use iceoryx2::port::client::Client;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -27,12 +26,12 @@ pub struct IceoryxLearner {
     transitions: Subscriber<Ipc, [u32], Wire<BatchHeader>>,
     replies: Subscriber<Ipc, [u8], Wire<ReplyHeader>>,
     weights: Publisher<Ipc, [u32], Wire<ActingHeader>>,
-    orders: Publisher<Ipc, Wire<Orders>, ()>,
+    orders: Publisher<Ipc, [u8], Wire<Orders>>,
+    /// As given last.
+    given: Orders,
     observe: Client<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
     query: query::Port,
-    listener: Listener<Ipc>,
-    actors: Notifier<Ipc>,
-    mentor: Notifier<Ipc>,
+    ear: Ear,
     mentor_waits: bool,
     generation: u16,
     services: Services,
@@ -76,11 +75,10 @@ impl IceoryxLearner {
                 .map_err(failed("creating the subscriber of replies"))?,
             weights,
             orders,
+            given: Orders::default(),
             observe,
             query: query::port(&services)?,
-            listener: wake::listener(&services.wake_learner)?,
-            actors: wake::notifier(&services.wake_actors)?,
-            mentor: wake::notifier(&services.wake_mentor)?,
+            ear: services.bells.ear(Consumer::Learner),
             mentor_waits: false,
             generation: plan.life.generation,
             services,
@@ -112,7 +110,7 @@ impl IceoryxLearner {
                 return Err(LinkError::Interrupted("actors and mentor-server"));
             }
             if calling {
-                wake::notify(&self.mentor, wake::ROLL_CALL)?;
+                self.services.bells.call(Consumer::Mentor, ROLL_CALL)?;
             }
             if start.elapsed() > patience {
                 let name = |p: &usize| {
@@ -125,19 +123,19 @@ impl IceoryxLearner {
                 });
             }
             pulse::step();
-            let mut hello = Vec::new();
-            wake::sleep(&self.listener, WAIT_SLICE, |event| match event {
-                wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
-                wake::READY..wake::CREATED => missing.retain(|p| *p != event - wake::READY),
-                _ => {}
-            })?;
-            for peer in hello {
+            self.ear.listen();
+            let (hello, ready) = self.take_calls();
+            missing.retain(|peer| !ready.contains(peer));
+            for &peer in &hello {
                 calling &= peer != MENTOR_PEER;
                 self.answer_hello(peer)?;
             }
+            if !missing.is_empty() {
+                self.ear.sleep(1, WAIT_SLICE)?;
+            }
         }
         // A last hello may have come together with the ready that follows it.
-        wake::sleep(&self.listener, Duration::ZERO, |_| {})?;
+        self.ear.take(|_| {});
         self.mentor_waits = false;
         // Peers that became ready have created nothing since, so this maps all of them.
         self.connect()
@@ -152,19 +150,24 @@ impl IceoryxLearner {
 
     fn answer_hello(&mut self, peer: usize) -> Result<(), LinkError> {
         self.connect()?;
-        let notifier = if peer == MENTOR_PEER { &self.mentor } else { &self.actors };
-        wake::notify(notifier, wake::WELCOME + peer)
+        let consumer = if peer == MENTOR_PEER { Consumer::Mentor } else { Consumer::Actors };
+        self.services.bells.call(consumer, WELCOME + peer)
     }
 
-    /// Sleeps until notified or until `timeout` is over. Lets actors in that come late; a mentor-server that does so has no
-    /// history, and must wait until it can be given one.
-    fn sleep(&mut self, timeout: Duration) -> Result<(), LinkError> {
-        let (mut hello, mut ready) = (Vec::new(), false);
-        wake::sleep(&self.listener, timeout, |event| match event {
-            wake::HELLO..wake::READY => hello.push(event - wake::HELLO),
-            wake::READY..wake::CREATED => ready = true,
+    /// The peers that have said hello, and those that are ready, since the last time.
+    fn take_calls(&self) -> (Vec<usize>, Vec<usize>) {
+        let (mut hello, mut ready) = (Vec::new(), Vec::new());
+        self.ear.take(|call| match call {
+            HELLO..READY => hello.push(call - HELLO),
+            READY..ROLL_CALL => ready.push(call - READY),
             _ => {}
-        })?;
+        });
+        (hello, ready)
+    }
+
+    /// Lets actors in that come late. A mentor-server that does so has no history, and must wait until it can be given one.
+    fn let_late_in(&mut self) -> Result<(), LinkError> {
+        let (hello, ready) = self.take_calls();
         for peer in hello {
             if peer == MENTOR_PEER {
                 self.mentor_waits = self.services.sizes.replaces;
@@ -172,23 +175,26 @@ impl IceoryxLearner {
                 self.answer_hello(peer)?;
             }
         }
-        if ready { self.connect() } else { Ok(()) }
+        if ready.is_empty() { Ok(()) } else { self.connect() }
     }
 
-    /// Polls until `poll` gives something or `timeout` is over, asleep in between.
+    /// Looks by `poll` until it gives something or `timeout` is over, asleep in between until `wanted` messages have come.
     fn wait<T>(
         &mut self,
+        wanted: u32,
         timeout: Duration,
         mut poll: impl FnMut(&Self) -> Result<Option<T>, LinkError>,
     ) -> Result<Option<T>, LinkError> {
         let start = Instant::now();
         loop {
+            self.ear.listen();
             if let Some(found) = poll(self)? {
                 return Ok(Some(found));
             }
             let left = timeout.saturating_sub(start.elapsed());
-            // Also without time to wait: a learner that is always busy must take notifications, too.
-            self.sleep(left.min(WAIT_SLICE))?;
+            self.ear.sleep(wanted, left.min(WAIT_SLICE))?;
+            // Also without time to wait: a learner that is always busy must hear its peers, too.
+            self.let_late_in()?;
             if left.is_zero() {
                 return poll(self);
             }
@@ -239,10 +245,10 @@ impl IceoryxLearner {
         sending.user_header_mut().0 = *request;
         let pending = sending.send().map_err(failed("sending a request to mentor/observe"))?;
         delivered(REQUEST, pending.number_of_server_connections(), 1)?;
-        wake::notify(&self.mentor, wake::DATA)?;
+        self.services.bells.ring(Consumer::Mentor)?;
         let start = Instant::now();
         let answer = loop {
-            let answer = self.wait(WAIT_SLICE, |link| {
+            let answer = self.wait(1, WAIT_SLICE, |link| {
                 // Asked first: an answer may come, and end the connection, in between.
                 let connected = pending.is_connected() && !link.mentor_waits;
                 let answer = pending.receive().map_err(failed("receiving from mentor/observe"))?;
@@ -291,9 +297,13 @@ impl LearnerLink for IceoryxLearner {
     }
 
     fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError> {
-        let found = self.orders.send_copy(Wire(*orders)).map_err(failed("sending orders"))?;
+        let mut sample = self.orders.loan_slice(1).map_err(failed("loaning memory for orders"))?;
+        sample.user_header_mut().0 = *orders;
+        let found = sample.send().map_err(failed("sending orders"))?;
         self.reached("orders", found)?;
-        wake::notify(&self.actors, wake::DATA)
+        let given = std::mem::replace(&mut self.given, *orders);
+        let concerned = orders.concern(&given).fold(0, |whom, actor| whom | bit(actor));
+        self.services.bells.ring_actors(concerned)
     }
 
     fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
@@ -310,9 +320,10 @@ impl LearnerLink for IceoryxLearner {
     fn recv(
         &mut self,
         batch: &mut Checked<Batch>,
+        wanted: u32,
         timeout: Duration,
     ) -> Result<Option<FromActor>, LinkError> {
-        self.wait(timeout, |link| link.try_recv(batch))
+        self.wait(wanted, timeout, |link| link.try_recv(batch))
     }
 
     fn observe(
@@ -348,7 +359,7 @@ impl LearnerLink for IceoryxLearner {
         payload: &[f32],
         into: &mut Vec<u32>,
     ) -> Result<QueryAnswer, LinkError> {
-        ask(&self.query, &self.mentor, &self.listener, request, payload, into, QUERY_DEADLINE)
+        ask(&self.query, &self.services.bells, &self.ear, request, payload, into, QUERY_DEADLINE)
     }
 }
 

@@ -1,15 +1,13 @@
 //! The mentor-server's end of the transport.
 
+use super::bell::{Consumer, Ear, HELLO, READY, ROLL_CALL, WELCOME};
 use super::services::{MENTOR_PEER, Services};
-use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
-use crate::pulse;
+use super::{Domain, Ipc, Wire, announce, failed, give_up_in_time};
 use crate::{LinkError, MentorHandler, MentorLink, Stop};
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::AllocationStrategy;
 use std::time::{Duration, Instant};
-use trestle_proto::limits::{ASSEMBLY, HELLO_INTERVAL};
+use trestle_proto::limits::HELLO_INTERVAL;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{MALFORMED, NOT_READY, QueryAnswer, QueryRequest};
@@ -19,9 +17,7 @@ use trestle_proto::query::{MALFORMED, NOT_READY, QueryAnswer, QueryRequest};
 pub struct IceoryxMentor {
     observe: Server<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
     query: Server<Ipc, [f32], Wire<QueryRequest>, [u32], Wire<QueryAnswer>>,
-    listener: Listener<Ipc>,
-    learner: Notifier<Ipc>,
-    clients: Notifier<Ipc>,
+    ear: Ear,
     /// Whether the learner has let this process in.
     welcome: bool,
     /// Private copies of a request's payload (a peer could still write to its message) and of an answer's payload.
@@ -54,9 +50,7 @@ impl IceoryxMentor {
         Ok(Self {
             observe,
             query,
-            listener: wake::listener(&services.wake_mentor)?,
-            learner: wake::notifier(&services.wake_learner)?,
-            clients: wake::notifier(&services.wake_clients)?,
+            ear: services.bells.ear(Consumer::Mentor),
             welcome: false,
             words: Vec::new(),
             state: Vec::new(),
@@ -65,14 +59,13 @@ impl IceoryxMentor {
         })
     }
 
-    /// Sleeps until notified or until `timeout` is over; the learner may let this process in meanwhile, or another one may
-    /// want it to forget and to announce itself anew.
-    fn sleep(&mut self, timeout: Duration, handler: &mut dyn MentorHandler) -> Result<(), LinkError> {
+    /// Takes what the learner has called: it may let this process in, or want it to forget and to announce itself anew.
+    fn take_calls(&mut self, handler: &mut dyn MentorHandler) -> Result<(), LinkError> {
         let (mut welcome, mut called) = (false, false);
-        wake::sleep(&self.listener, timeout, |event| {
-            welcome |= event == wake::WELCOME + MENTOR_PEER;
-            called |= event == wake::ROLL_CALL;
-        })?;
+        self.ear.take(|call| {
+            welcome |= call == WELCOME + MENTOR_PEER;
+            called |= call == ROLL_CALL;
+        });
         // In lockstep no learner calls.
         if self.welcome && called && self.services.sizes.replaces {
             self.welcome = false;
@@ -80,7 +73,7 @@ impl IceoryxMentor {
             tracing::info!("another learner has come");
         } else if !self.welcome && welcome {
             self.welcome = true;
-            wake::notify(&self.learner, wake::READY + MENTOR_PEER)?;
+            self.services.bells.call(Consumer::Learner, READY + MENTOR_PEER)?;
         }
         Ok(())
     }
@@ -113,7 +106,7 @@ impl IceoryxMentor {
                 }
                 sent => sent.map_err(failed("answering on mentor/observe"))?,
             }
-            wake::notify(&self.learner, wake::DATA)?;
+            self.services.bells.ring(Consumer::Learner)?;
             answered += 1;
         }
         while let Some(request) = self.query.receive().map_err(failed("receiving on mentor/query"))? {
@@ -135,8 +128,8 @@ impl IceoryxMentor {
             if let Err(e) = sending.send() {
                 tracing::warn!("an answer on mentor/query was not delivered: {e}");
             }
-            wake::notify(&self.learner, wake::DATA)?;
-            wake::notify(&self.clients, wake::DATA)?;
+            self.services.bells.ring(Consumer::Learner)?;
+            self.services.bells.ring_clients()?;
             answered += 1;
         }
         Ok(answered)
@@ -145,44 +138,34 @@ impl IceoryxMentor {
 
 impl MentorLink for IceoryxMentor {
     fn hello(&mut self, handler: &mut dyn MentorHandler, stop: Stop<'_>) -> Result<(), LinkError> {
-        let start = Instant::now();
-        while !self.welcome {
-            if stop() {
-                return Err(LinkError::Interrupted("the learner"));
-            }
-            // In free mode the learner may be busy for long.
-            if !self.services.sizes.replaces && start.elapsed() > ASSEMBLY {
-                return Err(LinkError::Deadline {
-                    peer: "learner".into(),
-                    what: "hello",
-                    waited_ms: ASSEMBLY.as_millis(),
-                });
-            }
-            pulse::step();
-            wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
+        if self.welcome {
+            return Ok(());
+        }
+        let (bells, replaces) = (self.services.bells.clone(), self.services.sizes.replaces);
+        announce(&bells, replaces, MENTOR_PEER, stop, |interval| {
+            self.ear.listen();
             // Before a welcome that may have come: requests until then were meant for another mentor-server.
             self.answer_all(handler)?;
-            self.sleep(HELLO_INTERVAL, handler)?;
-        }
-        Ok(())
+            self.ear.sleep(1, interval)?;
+            self.take_calls(handler)?;
+            Ok(self.welcome)
+        })
     }
 
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError> {
         let start = Instant::now();
-        if self.services.sizes.replaces {
-            // A mentor-server that is always busy must hear another learner's call, too.
-            self.sleep(Duration::ZERO, handler)?;
-        }
         loop {
+            self.ear.listen();
+            self.take_calls(handler)?;
             if !self.welcome {
-                wake::notify(&self.learner, wake::HELLO + MENTOR_PEER)?;
+                self.services.bells.call(Consumer::Learner, HELLO + MENTOR_PEER)?;
             }
             let answered = self.answer_all(handler)?;
             let left = timeout.saturating_sub(start.elapsed());
             if answered > 0 || left.is_zero() {
                 return Ok(answered);
             }
-            self.sleep(if self.welcome { left } else { left.min(HELLO_INTERVAL) }, handler)?;
+            self.ear.sleep(1, if self.welcome { left } else { left.min(HELLO_INTERVAL) })?;
         }
     }
 }

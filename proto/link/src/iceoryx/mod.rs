@@ -2,18 +2,17 @@
 //!
 //! - [`domain`]: where a run's files lie, how they are removed;
 //! - [`services`]: every service with its limits; the supervisor creates and holds them, the others open them;
-//! - `wake`: sleeping until something has come; `futex`: the word in shared memory to sleep on;
+//! - `bell`: sleeping until something has come;
 //! - `wire`: messages in the form that iceoryx2 accepts;
 //! - [`actor`], [`learner`], [`mentor`], [`query`]: the roles' ends.
 
 pub mod actor;
+mod bell;
 pub mod domain;
-mod futex;
 pub mod learner;
 pub mod mentor;
 pub mod query;
 pub mod services;
-mod wake;
 mod wire;
 
 pub use actor::IceoryxActor;
@@ -24,11 +23,42 @@ pub use query::QueryClient;
 pub use services::Services;
 pub use wire::Wire;
 
-use crate::LinkError;
-use futex::Ipc;
+use crate::{LinkError, Stop, pulse};
+use bell::{Bells, Consumer, HELLO};
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use std::fmt::Display;
-use trestle_proto::limits::BACKPRESSURE;
+use std::time::{Duration, Instant};
+use trestle_proto::limits::{ASSEMBLY, BACKPRESSURE, HELLO_INTERVAL};
+
+/// The kind of iceoryx2 service in use: between processes, each port on one thread.
+type Ipc = iceoryx2::service::ipc::Service;
+
+/// Says hello as `peer` until the learner lets this process in: half an hour at the most, but where processes are replaced for as long as
+/// it takes. `let_in` waits for that for up to a given time.
+fn announce(
+    bells: &Bells,
+    replaces: bool,
+    peer: usize,
+    stop: Stop<'_>,
+    mut let_in: impl FnMut(Duration) -> Result<bool, LinkError>,
+) -> Result<(), LinkError> {
+    let start = Instant::now();
+    loop {
+        if stop() {
+            return Err(LinkError::Interrupted("the learner"));
+        }
+        // In free mode the learner may be busy for long.
+        if !replaces && start.elapsed() > ASSEMBLY {
+            let waited_ms = ASSEMBLY.as_millis();
+            return Err(LinkError::Deadline { peer: "learner".into(), what: "hello", waited_ms });
+        }
+        pulse::step();
+        bells.call(Consumer::Learner, HELLO + peer)?;
+        if let_in(HELLO_INTERVAL)? {
+            return Ok(());
+        }
+    }
+}
 
 /// Turns an error of iceoryx2 into ours; `what` names the operation.
 fn failed<E: Display>(what: &'static str) -> impl Fn(E) -> LinkError {

@@ -1,11 +1,10 @@
 //! A client of `mentor/query`.
 
+use super::bell::{Bells, Consumer, Ear};
 use super::services::Services;
-use super::{Domain, Ipc, Wire, failed, give_up_in_time, wake};
+use super::{Domain, Ipc, Wire, failed, give_up_in_time};
 use crate::LinkError;
 use iceoryx2::port::client::Client;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use std::time::Duration;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
@@ -26,8 +25,7 @@ pub(super) fn port(services: &Services) -> Result<Port, LinkError> {
 #[derive(Debug)]
 pub struct QueryClient {
     port: Port,
-    listener: Listener<Ipc>,
-    mentor: Notifier<Ipc>,
+    ear: Ear,
     services: Services,
 }
 
@@ -35,12 +33,7 @@ impl QueryClient {
     /// Opens the services of a running run.
     pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
         let services = Services::open(domain, plan)?;
-        Ok(Self {
-            port: port(&services)?,
-            listener: wake::listener(&services.wake_clients)?,
-            mentor: wake::notifier(&services.wake_mentor)?,
-            services,
-        })
+        Ok(Self { port: port(&services)?, ear: services.bells.ear(Consumer::Clients), services })
     }
 
     /// Asks `request` (its `run` is filled in) and waits up to `deadline`; the answer's payload replaces `into`.
@@ -52,14 +45,14 @@ impl QueryClient {
         deadline: Duration,
     ) -> Result<QueryAnswer, LinkError> {
         let request = QueryRequest { run: self.services.run, ..*request };
-        ask(&self.port, &self.mentor, &self.listener, &request, payload, into, deadline)
+        ask(&self.port, &self.services.bells, &self.ear, &request, payload, into, deadline)
     }
 }
 
 pub(super) fn ask(
     port: &Port,
-    mentor: &Notifier<Ipc>,
-    listener: &Listener<Ipc>,
+    bells: &Bells,
+    ear: &Ear,
     request: &QueryRequest,
     payload: &[f32],
     into: &mut Vec<u32>,
@@ -75,8 +68,8 @@ pub(super) fn ask(
     if pending.number_of_server_connections() == 0 {
         return Err(LinkError::Receivers { what: WHAT, found: 0, expected: 1 });
     }
-    wake::notify(mentor, wake::DATA)?;
-    let answer = wake::wait(listener, deadline, || {
+    bells.ring(Consumer::Mentor)?;
+    let answer = ear.wait(deadline, || {
         // Asked first: an answer may come, and end the connection, in between.
         let connected = pending.is_connected();
         let answer = pending.receive().map_err(failed("receiving from mentor/query"))?;

@@ -1,10 +1,12 @@
 //! Every service of a run with all its limits. The supervisor creates and holds them; the other processes open them,
 //! because a process that dies while it creates a service would leave it unusable.
 
-use super::{Domain, Ipc, Wire, failed, wake};
+use super::bell::Bells;
+use super::{Domain, Ipc, Wire, failed};
 use crate::LinkError;
-use iceoryx2::prelude::{EventId, Node};
-use iceoryx2::service::port_factory::{event, publish_subscribe, request_response};
+use iceoryx2::prelude::{Node, ServiceName, ZeroCopySend};
+use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use std::fmt::Debug;
 use trestle_proto::acting::{ActingHeader, Lengths, Room};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, BatchHeader, Spaces};
@@ -14,6 +16,7 @@ use trestle_proto::limits::{
     MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TRANSITIONS_BUFFER,
 };
 use trestle_proto::mentor::transition_words;
+use trestle_proto::message::Message;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest, PART_WORDS};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
@@ -131,31 +134,21 @@ impl Sizes {
     }
 }
 
-pub(super) type Transitions = publish_subscribe::PortFactory<Ipc, [u32], Wire<BatchHeader>>;
-pub(super) type Weights = publish_subscribe::PortFactory<Ipc, [u32], Wire<ActingHeader>>;
-pub(super) type OrdersOf = publish_subscribe::PortFactory<Ipc, Wire<Orders>, ()>;
-pub(super) type Replies = publish_subscribe::PortFactory<Ipc, [u8], Wire<ReplyHeader>>;
-pub(super) type Observe =
-    request_response::PortFactory<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>;
-pub(super) type Query =
-    request_response::PortFactory<Ipc, [f32], Wire<QueryRequest>, [u32], Wire<QueryAnswer>>;
-pub(super) type Wake = event::PortFactory<Ipc>;
+type Topic<T, H> = publish_subscribe::PortFactory<Ipc, [T], Wire<H>>;
+type Exchange<Q, H, A> = request_response::PortFactory<Ipc, [Q], Wire<H>, [u32], Wire<A>>;
 
 /// All services of a run, opened. They exist for as long as a process holds this.
 #[derive(Debug)]
 pub struct Services {
     pub(super) sizes: Sizes,
     pub(super) run: u64,
-    pub(super) transitions: Transitions,
-    pub(super) weights: Weights,
-    pub(super) orders: OrdersOf,
-    pub(super) replies: Replies,
-    pub(super) observe: Observe,
-    pub(super) query: Query,
-    pub(super) wake_learner: Wake,
-    pub(super) wake_mentor: Wake,
-    pub(super) wake_actors: Wake,
-    pub(super) wake_clients: Wake,
+    pub(super) transitions: Topic<u32, BatchHeader>,
+    pub(super) weights: Topic<u32, ActingHeader>,
+    pub(super) orders: Topic<u8, Orders>,
+    pub(super) replies: Topic<u8, ReplyHeader>,
+    pub(super) observe: Exchange<u32, ObserveRequest, ObserveAnswer>,
+    pub(super) query: Exchange<f32, QueryRequest, QueryAnswer>,
+    pub(super) bells: Bells,
     /// Goes after everything that lives in it.
     pub(super) node: Node<Ipc>,
     /// Goes after everything that leaves a file.
@@ -179,22 +172,105 @@ impl Drop for Departure {
     }
 }
 
+/// What happens to a message whose receivers have no room for it.
+#[derive(Clone, Copy)]
+enum Full {
+    /// The sender waits.
+    Wait,
+    /// It replaces the older one, and a receiver that comes late gets it, too.
+    Replace,
+}
+
+/// How a process comes by a service.
+#[derive(Clone, Copy)]
+struct Way<'a> {
+    node: &'a Node<Ipc>,
+    /// Most processes at once.
+    nodes: usize,
+    /// The supervisor creates what the others open.
+    create: bool,
+}
+
 /// Ends a builder the one or the other way.
 macro_rules! finish {
     ($builder:expr, $create:expr, $name:expr) => {{
+        let failed = |message: String| LinkError::Transport {
+            what: if $create { "creating a service" } else { "opening a service" },
+            message: format!("{}: {message}", $name),
+        };
         let builder = $builder;
         if $create {
-            builder.create().map_err(|e| LinkError::Transport {
-                what: concat!("creating service ", $name),
-                message: e.to_string(),
-            })
+            builder.create().map_err(|e| failed(e.to_string()))
         } else {
-            builder.open().map_err(|e| LinkError::Transport {
-                what: concat!("opening service ", $name),
-                message: e.to_string(),
-            })
+            builder.open().map_err(|e| failed(e.to_string()))
         }
     }};
+}
+
+impl Way<'_> {
+    fn name(&self, name: &str) -> Result<ServiceName, LinkError> {
+        format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"))
+    }
+
+    /// A service that `senders` at the most send messages to, and `receivers` receive from, for each of which as many as `buffer`
+    /// messages of each sender wait.
+    fn topic<T, H>(
+        &self,
+        name: &str,
+        senders: usize,
+        receivers: usize,
+        buffer: usize,
+        full: Full,
+    ) -> Result<Topic<T, H>, LinkError>
+    where
+        T: Debug + ZeroCopySend,
+        H: Message + Debug,
+    {
+        let replace = matches!(full, Full::Replace);
+        finish!(
+            self.node
+                .service_builder(&self.name(name)?)
+                .publish_subscribe::<[T]>()
+                .user_header::<Wire<H>>()
+                .max_publishers(senders)
+                .max_subscribers(receivers)
+                .max_nodes(self.nodes)
+                .subscriber_max_buffer_size(buffer)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(usize::from(replace))
+                .enable_safe_overflow(replace),
+            self.create,
+            name
+        )
+    }
+
+    /// A service of the mentor-server that `clients` at the most ask, each one question at a time.
+    fn exchange<Q, H, A>(&self, name: &str, clients: usize) -> Result<Exchange<Q, H, A>, LinkError>
+    where
+        Q: Debug + ZeroCopySend,
+        H: Message + Debug,
+        A: Message + Debug,
+    {
+        finish!(
+            self.node
+                .service_builder(&self.name(name)?)
+                .request_response::<[Q], [u32]>()
+                .request_user_header::<Wire<H>>()
+                .response_user_header::<Wire<A>>()
+                .max_servers(1)
+                .max_clients(clients)
+                .max_nodes(self.nodes)
+                .max_active_requests_per_client(1)
+                .max_response_buffer_size(1)
+                .max_borrowed_responses_per_pending_response(1)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(false)
+                .enable_safe_overflow_for_responses(false)
+                .enable_fire_and_forget_requests(false),
+            self.create,
+            name
+        )
+    }
 }
 
 impl Services {
@@ -213,7 +289,14 @@ impl Services {
 
     /// Removes the remains of the run's dead processes, so that others can take their places. False: something is left.
     pub fn reap(&self) -> bool {
-        self.node.try_cleanup_dead_nodes().failed_cleanups == 0
+        let cleaned = self.node.try_cleanup_dead_nodes();
+        // Whoever waits for a dead process learns of it.
+        if cleaned.cleanups > 0
+            && let Err(error) = self.bells.ring_everybody()
+        {
+            tracing::warn!("{error}");
+        }
+        cleaned.failed_cleanups == 0
     }
 
     fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
@@ -223,127 +306,21 @@ impl Services {
         }
         let node = domain.node().map_err(failed("joining the run"))?;
         let sizes = Sizes::of(&plan.experiment);
-        let nodes = sizes.actors * 2 + MAX_QUERY_CLIENTS + OTHER_NODES;
-        let name =
-            |name: &str| format!("trestle/{name}").as_str().try_into().map_err(failed("naming a service"));
-        let transitions = finish!(
-            node.service_builder(&name("transitions")?)
-                .publish_subscribe::<[u32]>()
-                .user_header::<Wire<BatchHeader>>()
-                .max_publishers(sizes.actors * 2)
-                .max_subscribers(1)
-                .max_nodes(nodes)
-                .subscriber_max_buffer_size(sizes.transitions_buffer())
-                .subscriber_max_borrowed_samples(1)
-                .history_size(0)
-                .enable_safe_overflow(false),
-            create,
-            "transitions"
-        )?;
-        let weights = finish!(
-            node.service_builder(&name("weights")?)
-                .publish_subscribe::<[u32]>()
-                .user_header::<Wire<ActingHeader>>()
-                .max_publishers(1)
-                .max_subscribers(sizes.actors * 2)
-                .max_nodes(nodes)
-                .subscriber_max_buffer_size(1)
-                .subscriber_max_borrowed_samples(1)
-                .history_size(1)
-                .enable_safe_overflow(true),
-            create,
-            "weights"
-        )?;
-        let orders = finish!(
-            node.service_builder(&name("orders")?)
-                .publish_subscribe::<Wire<Orders>>()
-                .max_publishers(1)
-                .max_subscribers(sizes.actors * 2)
-                .max_nodes(nodes)
-                .subscriber_max_buffer_size(1)
-                .subscriber_max_borrowed_samples(1)
-                .history_size(1)
-                .enable_safe_overflow(true),
-            create,
-            "orders"
-        )?;
-        let replies = finish!(
-            node.service_builder(&name("replies")?)
-                .publish_subscribe::<[u8]>()
-                .user_header::<Wire<ReplyHeader>>()
-                .max_publishers(sizes.actors * 2)
-                .max_subscribers(1)
-                .max_nodes(nodes)
-                .subscriber_max_buffer_size(REPLIES_BUFFER)
-                .subscriber_max_borrowed_samples(1)
-                .history_size(0)
-                .enable_safe_overflow(false),
-            create,
-            "replies"
-        )?;
-        let observe = finish!(
-            node.service_builder(&name("mentor/observe")?)
-                .request_response::<[u32], [u32]>()
-                .request_user_header::<Wire<ObserveRequest>>()
-                .response_user_header::<Wire<ObserveAnswer>>()
-                .max_servers(1)
-                .max_clients(1)
-                .max_nodes(nodes)
-                .max_active_requests_per_client(1)
-                .max_response_buffer_size(1)
-                .max_borrowed_responses_per_pending_response(1)
-                .max_loaned_requests(1)
-                .enable_safe_overflow_for_requests(false)
-                .enable_safe_overflow_for_responses(false)
-                .enable_fire_and_forget_requests(false),
-            create,
-            "mentor/observe"
-        )?;
-        let query = finish!(
-            node.service_builder(&name("mentor/query")?)
-                .request_response::<[f32], [u32]>()
-                .request_user_header::<Wire<QueryRequest>>()
-                .response_user_header::<Wire<QueryAnswer>>()
-                .max_servers(1)
-                .max_clients(MAX_QUERY_CLIENTS)
-                .max_nodes(nodes)
-                .max_active_requests_per_client(1)
-                .max_response_buffer_size(1)
-                .max_borrowed_responses_per_pending_response(1)
-                .max_loaned_requests(1)
-                .enable_safe_overflow_for_requests(false)
-                .enable_safe_overflow_for_responses(false)
-                .enable_fire_and_forget_requests(false),
-            create,
-            "mentor/query"
-        )?;
-        let wake = |which: &'static str, listeners: usize| -> Result<Wake, LinkError> {
-            finish!(
-                node.service_builder(&name(which)?)
-                    .event()
-                    .max_listeners(listeners)
-                    .max_notifiers(nodes * 2)
-                    .max_nodes(nodes)
-                    .event_id_max_value(wake::LAST)
-                    .notifier_created_event(EventId::new(wake::CREATED))
-                    .notifier_dropped_event(EventId::new(wake::DROPPED))
-                    .notifier_dead_event(EventId::new(wake::DEAD)),
-                create,
-                "wake"
-            )
-        };
+        // Twice, so that the places of a dead process keep no living one out.
+        let actors = 2 * sizes.actors;
+        let way = Way { node: &node, nodes: actors + MAX_QUERY_CLIENTS + OTHER_NODES, create };
+        let buffer = sizes.transitions_buffer();
         Ok(Self {
             run: plan.life.run,
-            transitions,
-            weights,
-            orders,
-            replies,
-            observe,
-            query,
-            wake_learner: wake("wake/learner", 2)?,
-            wake_mentor: wake("wake/mentor", 2)?,
-            wake_actors: wake("wake/actors", sizes.actors * 2)?,
-            wake_clients: wake("wake/clients", MAX_QUERY_CLIENTS)?,
+            // name, senders, receivers, messages that wait, and where there is no room for more
+            transitions: way.topic("transitions", actors, 1, buffer, Full::Wait)?,
+            replies: way.topic("replies", actors, 1, REPLIES_BUFFER, Full::Wait)?,
+            weights: way.topic("weights", 1, actors, 1, Full::Replace)?,
+            orders: way.topic("orders", 1, actors, 1, Full::Replace)?,
+            // name, clients
+            observe: way.exchange("mentor/observe", 1)?,
+            query: way.exchange("mentor/query", MAX_QUERY_CLIENTS)?,
+            bells: Bells::new(domain, create)?,
             node,
             sizes,
             _departure: departure,
