@@ -19,6 +19,8 @@ SMALL = {
     "eval.every": "20",
     "eval.episodes": "2",
     "env.gym.warmup_steps": "50",
+    # On a busy machine no process is taken for dead.
+    "supervise.silence_s": "120",
 }
 
 Trestle = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -29,7 +31,7 @@ def trestle(tmp_path: Path) -> Trestle:
     """Carries out a command line of the program in an empty directory with the tests' environments."""
     (tmp_path / "envs.py").write_text((Path(__file__).parent / "envs.py").read_text())
 
-    def run(*args: Any, ok: bool = True, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    def run(*args: Any, ok: bool = True, timeout: float = 600) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
             [sys.executable, "-m", "trestle", *map(str, args)],
             cwd=tmp_path,
