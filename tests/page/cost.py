@@ -22,8 +22,9 @@ import threading
 import time
 
 LIMIT_S = 60
-# A run of about twenty seconds.
-TRAIN = ["train", "maze30", "--algo", "ha-diiqn", "--env-steps", "30000", "--set", "run.stop_when_solved=false", "--quiet"]
+# A run of some seconds.
+TRAIN = ["train", "maze30", "--algo", "ha-diiqn", "--env-steps", "100000", "--episodes", "1000000", "--set",
+         "run.stop_when_solved=false", "--quiet"]
 PAGES = 5
 MANY_PAGES = 50
 SAMPLE_S = 10
@@ -54,8 +55,12 @@ class Page:
 
     def take(self, state):
         extent = state.get("timeline") or {}
-        if extent.get("lines", 0) > self.seen:
-            self.seen += len(json.loads(get(self.port, f"/timeline/{self.seen}{self.below}"))["moments"])
+        # An answer is bounded, so it may take several.
+        while extent.get("lines", 0) > self.seen:
+            moments = json.loads(get(self.port, f"/timeline/{self.seen}{self.below}"))["moments"]
+            self.seen += len(moments)
+            if not moments:
+                break
 
 
 def get(port, path):

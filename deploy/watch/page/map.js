@@ -413,13 +413,14 @@ export class BridgeMap {
       const [low, high] = [Math.min(...values), Math.max(...values)];
       return [low, high > low ? high : low + 1];
     });
-    const [width, height, margin] = [100, 66, 7];
+    const letter = this.letter();
+    const [width, height, margin] = [100, 66, Math.max(7, 2.4 * letter)];
     const to = (state) => [
       margin + ((state[a] - bounds[0][0]) / (bounds[0][1] - bounds[0][0])) * (width - 2 * margin),
       height - margin - ((state[b] - bounds[1][0]) / (bounds[1][1] - bounds[1][0])) * (height - 2 * margin),
     ];
     this.toPlace = to;
-    const text = (x, y, anchor, words) => h("text", { class: "tick", x, y, "font-size": 2.6, "text-anchor": anchor }, words);
+    const text = (x, y, anchor, words) => h("text", { class: "tick", x, y, "font-size": letter, "text-anchor": anchor }, words);
     const parts = [
       h("path", { class: "axis", d: `M${margin} ${margin}V${height - margin}H${width - margin}` }),
       text(margin, height - 3, "start", number(bounds[0][0])), text(width - margin, height - 3, "end", number(bounds[0][1])),
@@ -429,6 +430,11 @@ export class BridgeMap {
     ];
     say(this.scale, visits.length ? `Visits: every ${count(this.head.states_every)}th of the agent's newest states, older ones fainter` : "");
     this.put(`0 0 ${width} ${height}`, parts, null, width / height);
+  }
+
+  // Size of letters in a picture that is 100 wide: 12 pixels.
+  letter() {
+    return near(Math.min(5, Math.max(2.4, 1200 / (this.stage.clientWidth || 480))));
   }
 
   // States as dots, the newest last, in four groups by their age.
@@ -451,7 +457,8 @@ export class BridgeMap {
   // Along the mentor's steps, with visits behind them and bridges below: e_KL upwards, logarithmic, or where the path is only led along
   // the probability of the likeliest action.
   drawTime() {
-    const [width, height, margin, floor] = [100, 56, 8, 38];
+    const letter = this.letter();
+    const [width, height, margin, floor] = [100, 56, Math.max(8, 3.4 * letter), 38];
     const led = !!this.head.mentor.led;
     const known = (list) => this.from.map((_, step) => array(list)[step]).map((x) => (x === null || x === undefined ? NaN : Number(x)));
     const errors = led ? known(this.now.sure) : known(this.now.e_kl).map((x) => Math.max(x, 1e-6));
@@ -467,11 +474,11 @@ export class BridgeMap {
       const bars = met.map((visits, step) => `M${near(x(step) - half)} ${floor}v${near(-(floor - 5) * Math.sqrt(visits / most))}h${near(2 * half)}V${floor}Z`);
       parts.push(h("path", { class: "bars", d: bars.join("") }));
     }
-    const tick = (value, words) => parts.push(h("text", { class: "tick", x: margin - 1, y: near(y(value) + 0.8), "font-size": 2.4, "text-anchor": "end" }, words));
+    const tick = (value, words) => parts.push(h("text", { class: "tick", x: margin - 1, y: near(y(value) + 0.35 * letter), "font-size": letter, "text-anchor": "end" }, words));
     if (led) [0, 0.5, 1].forEach((value) => tick(value, percent(value)));
     else for (let power = low; power <= high; power += Math.max(1, Math.ceil((high - low) / 4))) tick(10 ** power, power === 0 ? "1" : `1e${power}`);
-    parts.push(h("text", { class: "tick", x: margin + 1, y: 2.6, "font-size": 2.4 }, led ? "probability of the likeliest action" : "e_KL"),
-      h("text", { class: "tick", x: width / 2, y: height - 1, "font-size": 2.4, "text-anchor": "middle" }, led ? "the mentor's steps" : "the mentor's steps; below, bridges by where they lead"));
+    parts.push(h("text", { class: "tick", x: margin + 1, y: letter, "font-size": letter }, led ? "probability of the likeliest action" : "e_KL"),
+      h("text", { class: "tick", x: width / 2, y: height - 1, "font-size": letter, "text-anchor": "middle" }, led ? "the mentor's steps" : "the mentor's steps, and bridges by where they lead"));
     this.places = errors.map((error, step) => [near(x(step)), near(y(error))]);
     const r = Math.min(0.9, (0.35 * (width - 2 * margin)) / this.from.length);
     this.from.forEach((_, step) => {

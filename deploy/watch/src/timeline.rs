@@ -11,8 +11,8 @@ use trestle_proto::rundir::TIMELINE_FILE;
 
 /// Longest line that is handed on, bytes.
 const MAX_LINE: usize = 1 << 20;
-/// Bytes of one answer, about.
-const MAX_ANSWER: usize = 6 << 20;
+/// Bytes of one answer, about: a page that wants more asks again. Fifty that begin at once then take little memory.
+const MAX_ANSWER: usize = 512 << 10;
 
 /// How much of the timeline there is.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -146,5 +146,22 @@ mod tests {
             let answered = answer(&dir, &extent, 0).unwrap();
             assert_eq!(answered.contains("xxx"), counted == 2, "{length}");
         }
+    }
+    #[test]
+    fn a_long_timeline_takes_several_answers() {
+        let place = tempfile::tempdir().unwrap();
+        let dir = Root::new(place.path()).unwrap().dir(&Below::default()).unwrap();
+        let moment = format!("\"{}\"\n", "x".repeat(200 << 10));
+        fs::write(place.path().join(TIMELINE_FILE), format!("{{}}\n{}", moment.repeat(8))).unwrap();
+        let extent = Timeline::default().look(&dir).unwrap();
+        let mut counts = Vec::new();
+        while counts.iter().sum::<usize>() < 8 {
+            let from = 1 + counts.iter().sum::<usize>() as u64;
+            let answered = answer(&dir, &extent, from).unwrap();
+            assert!(answered.len() < MAX_ANSWER + MAX_LINE);
+            let answered: serde_json::Value = serde_json::from_str(&answered).unwrap();
+            counts.push(answered["moments"].as_array().unwrap().len());
+        }
+        assert_eq!(counts, [3, 3, 2]);
     }
 }
