@@ -87,7 +87,9 @@ fn a_living_run_is_alive_from_wherever_its_shared_memory_is_seen() {
     let script = format!("{setup} && exec \"$@\"");
     for args in [&["doctor"][..], &["doctor", "--fix"]] {
         let outcome = start_under(&[&container[..], &[&script, "sh"]].concat(), args).finish();
-        assert!(outcome.stdout.contains("runs in progress: 1"), "{outcome:?}");
+        // There may be runs of others on the machine.
+        let runs = outcome.stdout.lines().find_map(|line| line.strip_prefix("ok    runs in progress: "));
+        assert!(runs.unwrap().parse::<u32>().unwrap() >= 1, "{outcome:?}");
         let name = format!("{:08x}", dir.read_plan().unwrap().life.run);
         assert!(!outcome.stdout.contains(&name), "{outcome:?}");
     }

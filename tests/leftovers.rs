@@ -15,8 +15,8 @@ const LIMIT: [&str; 2] = ["--env-steps", "700"];
 /// Removes from the run in `root` all that a start has not written yet which is killed after `made` files, and leaves the
 /// next one half-written.
 fn cut(root: &Path, made: usize) {
-    const ORDER: [&str; 6] =
-        ["logs", "config.toml", "command.txt", "build.json", "demonstration.csv", "plan.bin"];
+    const ORDER: [&str; 7] =
+        ["logs", "config.toml", "command.txt", "map.json", "build.json", "demonstration.csv", "plan.bin"];
     for entry in fs::read_dir(root).unwrap() {
         let entry = entry.unwrap();
         let name = entry.file_name().into_string().unwrap();
@@ -48,7 +48,7 @@ fn half_made_runs_begin_anew() {
     let whole = Trace::of(&run);
     let original = place.root().join("original");
     copy(run.root(), &original);
-    for made in 0..=6 {
+    for made in 0..=7 {
         cut(run.root(), made);
         sweep(&["--resume"]).ok();
         assert_eq!(Trace::of(&run), whole, "{made} files");

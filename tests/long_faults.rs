@@ -47,6 +47,9 @@ fn main() {
         let (median, p99) = (within(0.5), within(0.99));
         println!("recovery after {} kills: median {median} ms, p99 {p99} ms", recoveries.len());
     }
+    if summary.doubles > 0 {
+        println!("{} of them took the supervisor within 50 ms as well", summary.doubles);
+    }
     if summary.ends > 0 || summary.clients > 0 {
         println!(
             "{} runs ended for want of room and went on later; {} clients",

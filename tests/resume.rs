@@ -53,6 +53,29 @@ fn survives(more: &[&str]) {
     assert_eq!(resumed(&place, "kill", &args), undisturbed);
 }
 
+/// A run in one process saves nothing on its way, but does when it is interrupted. It goes on in several processes.
+#[test]
+fn a_run_in_one_process_goes_on_in_several() {
+    let place = Place::new();
+    for more in [&[][..], &["--actors", "2", "--set", "run.lag=1"]] {
+        let args = [&ARGS[..], more].concat();
+        let (name, whole) = (format!("run-{}", more.len()), format!("undisturbed-{}", more.len()));
+        let mut run = start(&place.training(&name, &[&args[..], &["--mode", "reference"]].concat()));
+        let dir = place.run(&name);
+        run.wait_for("evaluations", || evaluations(&dir) >= 2);
+        run.signal(Signal::SIGINT);
+        let ended = run.finish().code(130);
+        assert!(
+            ended.stderr.contains(&format!("`trestle resume {}` goes on", dir.root().display())),
+            "{ended:?}"
+        );
+        let said = start(&["resume", &place.path(&name)]).finish().ok().stderr;
+        assert!(said.contains("goes on in several, with the same weights"), "{said}");
+        assert_gone(&dir);
+        assert_eq!(Trace::of(&dir), place.train(&whole, &args));
+    }
+}
+
 #[test]
 fn one_actor() {
     survives(&[]);

@@ -12,13 +12,14 @@ use crate::util::{
 };
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 use trestle_learner::checkpoint;
+use trestle_link::iceoryx::{Domain, Liveness};
 use trestle_proto::config::Mode;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::rng::mix;
@@ -29,6 +30,8 @@ use trestle_proto::rundir::RunDir;
 pub(crate) enum Kind {
     /// SIGKILL.
     Kill,
+    /// SIGKILL, and within [`MOMENT`] the supervisor as well. The run is gone on with by `trestle resume`.
+    Both,
     /// SIGSTOP, for good. The supervisor goes on after a moment: nobody watches over it.
     Stop,
     /// SIGSTOP, and SIGCONT before anybody minds.
@@ -48,8 +51,9 @@ pub(crate) enum Kind {
 }
 
 /// Every kind of fault: those that befall one process, and from [`SHORTAGES`] on those of which a run may not notice anything.
-pub(crate) const KINDS: [Kind; 9] = [
+pub(crate) const KINDS: [Kind; 10] = [
     Kind::Kill,
+    Kind::Both,
     Kind::Stop,
     Kind::Pause,
     Kind::Torn,
@@ -62,7 +66,7 @@ pub(crate) const KINDS: [Kind; 9] = [
 
 /// See [`KINDS`].
 #[allow(dead_code)] // Played at length they are named.
-pub(crate) const SHORTAGES: usize = 5;
+pub(crate) const SHORTAGES: usize = 6;
 
 impl Kind {
     /// What runs out, if something does: the words of which a run that ends for want of it must say one.
@@ -109,6 +113,9 @@ const ENV_STEPS: u64 = 24_000;
 /// Faults that one run has to stand, unless it ends before.
 const PER_RUN: u64 = 6;
 
+/// The supervisor dies this much later than a process of its run, at the most.
+const MOMENT: Duration = Duration::from_millis(50);
+
 /// Clients that a mentor-server has room for, beside the learner.
 const CLIENTS: u64 = 7;
 /// How long those of them wait that wait at all.
@@ -151,6 +158,8 @@ impl Fault {
         let of_mentor = matches!(kind, Kind::Slow | Kind::Deaf) || self.role == "mentor-server";
         let role = match self.role {
             _ if of_mentor => if has_mentor { "mentor-server" } else { "learner" }.into(),
+            // Somebody else dies first.
+            "supervisor" if kind == Kind::Both => "learner".into(),
             "actor" => format!("actor-{}", self.word % actors),
             role => role.into(),
         };
@@ -163,6 +172,8 @@ impl Fault {
 pub(crate) struct Summary {
     pub(crate) faults: u64,
     pub(crate) runs: u64,
+    /// How many of them killed the supervisor right after another process.
+    pub(crate) doubles: u64,
     /// From a kill to the moment when the run can go on.
     pub(crate) recoveries: Vec<Duration>,
     /// How often a run ended for want of room, said so, and went on later.
@@ -227,6 +238,7 @@ fn play_at(
             let (fault, role) = Fault::of(seed, summary.faults, kinds).in_run(CONFIGS[which]);
             let Some(took) = run.befall(&fault, &role) else { break };
             summary.faults += 1;
+            summary.doubles += u64::from(fault.kind == Kind::Both);
             summary.recoveries.extend(took);
             let took = took.map_or(String::new(), |took| format!(" ({} ms)", took.as_millis()));
             said += &format!(" {:?} {role}{took},", fault.kind);
@@ -276,6 +288,8 @@ struct Run<'a> {
     dir: RunDir,
     /// None once it has ended.
     process: Option<Process>,
+    /// The identities that it has had, as far as they have been seen.
+    identities: BTreeSet<u64>,
     /// What has run out since it was started.
     lacked: Vec<Kind>,
     /// Those that have been stopped and not yet gone.
@@ -291,7 +305,8 @@ impl<'a> Run<'a> {
         let (args, dir) = (args.to_vec(), place.run(&name));
         let process = Some(start(&place.training(&name, &args)));
         let (lacked, clients) = (Vec::new(), Vec::new());
-        Self { place, name, args, dir, process, lacked, clients, ends: 0, asked: 0 }
+        let identities = BTreeSet::new();
+        Self { place, name, args, dir, process, identities, lacked, clients, ends: 0, asked: 0 }
     }
 
     /// Waits for `condition`; false if the run has ended by itself, well, before.
@@ -318,7 +333,7 @@ impl<'a> Run<'a> {
         if self.dir.plan().exists() {
             assert_gone(&self.dir);
         }
-        self.start_again();
+        self.start_again(false);
         self.process.is_some()
     }
 
@@ -357,8 +372,9 @@ impl<'a> Run<'a> {
             Kind::Disk => return Some(self.fill(fault, self.place.root(), pid, role)),
             Kind::Slow => return Some(hold_up(pid, fault.word)),
             Kind::Deaf => return Some(self.bring_clients(fault.word)),
-            Kind::Kill | Kind::Stop | Kind::Pause => {}
+            Kind::Kill | Kind::Both | Kind::Stop | Kind::Pause => {}
         }
+        self.identities.extend(self.dir.read_plan().map(|plan| plan.life.run));
         let (readies, began) = (readies(&self.dir, role), Instant::now());
         let pause = Duration::from_millis(fault.word % 900);
         let stops = fault.kind == Kind::Stop && role != "supervisor";
@@ -370,8 +386,12 @@ impl<'a> Run<'a> {
             return Some(None);
         }
         kill(pid, if stops { Signal::SIGSTOP } else { Signal::SIGKILL }).ok()?;
-        if role == "supervisor" {
-            self.start_again();
+        if fault.kind == Kind::Both {
+            wait_until(MOMENT.mul_f64((fault.word >> 32 & 0xffff) as f64 / 65536.0), || false);
+            self.process.as_ref()?.signal(Signal::SIGKILL);
+        }
+        if role == "supervisor" || fault.kind == Kind::Both {
+            self.start_again(fault.kind == Kind::Both);
         }
         let recovered = self.reaches(|dir| self::readies(dir, role) > readies);
         // A run that was at its end may have ended nevertheless.
@@ -394,7 +414,7 @@ impl<'a> Run<'a> {
         });
         drop(hog);
         if killed && role == "supervisor" {
-            self.start_again();
+            self.start_again(false);
         }
         None
     }
@@ -421,14 +441,16 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// After the death of the supervisor: waits until its children have gone, and does what a user would.
-    fn start_again(&mut self) {
+    /// After the death of the supervisor: waits until its children have gone, and does what a user would. `resume`: by
+    /// the command of that name, which needs nothing but the directory.
+    fn start_again(&mut self, resume: bool) {
         self.lacked.clear();
         if let Some(process) = self.process.take() {
             process.finish();
         }
         assert!(wait_until(LIMIT, || processes(self.dir.root()).is_empty()));
         let plan = self.dir.read_plan().ok();
+        self.identities.extend(plan.as_ref().map(|plan| plan.life.run));
         if self.dir.result().exists() {
             // It had finished, and only not said so yet.
             return;
@@ -444,7 +466,12 @@ impl<'a> Run<'a> {
             // Not even a run.
             fs::remove_dir_all(self.dir.root()).unwrap();
         }
-        self.process = Some(start(&self.place.training(&self.name, &[&self.args, more].concat())));
+        let resumes = resume && more == ["--resume"];
+        let args = match resumes {
+            true => ["resume", "--quiet", &self.place.path(&self.name)].map(String::from).to_vec(),
+            false => self.place.training(&self.name, &[&self.args, more].concat()),
+        };
+        self.process = Some(start(&args));
     }
 
     fn finish(mut self, summary: &mut Summary) -> Trace {
@@ -453,6 +480,9 @@ impl<'a> Run<'a> {
         // Nothing comes back with those who go only now.
         self.send_clients_away();
         assert_gone(&self.dir);
+        for identity in &self.identities {
+            assert_eq!(Domain::of(*identity).liveness(), Liveness::Absent, "{identity:x}");
+        }
         assert!(!result(&self.dir).interrupted);
         // A restart would hide it.
         let logs = logs(&self.dir);

@@ -71,7 +71,8 @@ fn an_interrupted_sweep_goes_on_and_comes_to_the_same() {
         ended.stderr
     );
     // Without its configuration again.
-    start(&["sweep", "--resume", "--quiet", "--out", &out]).finish().ok();
+    let again = start(&["sweep", "--resume", "--out", &out]).finish().ok();
+    assert!(again.stderr.contains("dqn seed 3  going on from episode "), "{}", again.stderr);
     let train = ["maze-small", "--algo", "dqn", "--seed", "3"];
     let alone = place.train("alone", &[&train[..], &limit, &often].concat());
     assert_eq!(Trace::of(&place.run("s/dqn/seed-3")), alone);

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
 use trestle_learner::record::RunResult;
 use trestle_link::logging;
-use trestle_proto::config::{self, Config, Environments};
+use trestle_proto::config::{self, Config, Environments, Mode};
 use trestle_proto::rundir::RunDir;
 use trestle_report::effect::Effect;
 
@@ -87,14 +87,18 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     if existing == Existing::Resume && RunDir::new(root).config().exists() && !metrics.exists() {
         crate::output::say(&format!("note: {} is missing: a new one is begun", metrics.display()));
     }
-    let mode = config.run.mode;
-    if mode == config::Mode::Reference {
+    let typed = config.run.mode;
+    if typed == Mode::Reference && existing != Existing::Resume {
         itself::hand_over(&config.env)?;
     }
     let resolved = match existing {
         Existing::Resume => prepare::resolve_run(root, &config)?,
         Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
     };
+    let mode = resolved.config.run.mode;
+    if mode != typed {
+        crate::output::say("note: a run that began in one process goes on in several, with the same weights");
+    }
     for warning in resolved.warnings() {
         crate::output::say(&format!("warning: {warning}"));
     }
@@ -108,8 +112,8 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
         crate::output::say(&format!("note: {weakness}"));
     }
     let ended = match mode {
-        config::Mode::Lockstep | config::Mode::Free => supervise::run(prepared, held, quiet)?,
-        config::Mode::Reference => reference::run(&prepared, held, quiet)?,
+        Mode::Lockstep | Mode::Free => supervise::run(prepared, held, quiet)?,
+        Mode::Reference => reference::run(&prepared, held, quiet)?,
     };
     match ended {
         Ended::Complete(result) => {
@@ -120,12 +124,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
         Ended::Interrupted(result) => {
             if let Some(result) = result {
                 let _ = report(&mut stdout().lock(), &result, root, quiet);
-                crate::output::say(&match mode {
-                    config::Mode::Lockstep | config::Mode::Free => {
-                        format!("interrupted; `trestle resume {}` goes on", root.display())
-                    }
-                    config::Mode::Reference => "interrupted; a run in one process cannot be resumed".into(),
-                });
+                crate::output::say(&format!("interrupted; `trestle resume {}` goes on", root.display()));
             } else if RunDir::new(root).last().exists() {
                 crate::output::say(&format!(
                     "interrupted; `trestle resume {}` goes on from the newest checkpoint",

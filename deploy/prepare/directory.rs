@@ -184,10 +184,6 @@ impl Resolved {
 
     /// The life of the learner to follow, from the newest checkpoint on that this configuration can go on from.
     fn check_resume(&self, dir: &RunDir) -> Result<Life> {
-        ensure!(
-            self.config.run.mode != Mode::Reference,
-            "run.mode = reference; accepted with --resume: lockstep, free"
-        );
         let root = dir.root().display();
         if let Some(result) = self.complete(dir.root()) {
             bail!(
@@ -434,6 +430,11 @@ fn clear_away(dir: &RunDir, fence: Option<&Fence>) {
     if left && let Err(error) = domain.remove() {
         tracing::warn!("cannot remove what the run before has left in shared memory: {error}");
     }
+}
+
+/// Removes what the run in `root` has left in shared memory, if that is known to be dead.
+pub(crate) fn clear_dead(root: &Path) {
+    clear_away(&RunDir::new(root), None);
 }
 
 /// 64 bits that nobody can guess. A run's identity begins the names of its files in a directory where everybody may create

@@ -13,7 +13,7 @@ use trestle_algorithm::similarity::metric::Metric;
 use trestle_algorithm::summary::{Summary, summarise, unreachable};
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
-use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, PLAN, RivalKind, Threshold};
+use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, Mode, PLAN, RivalKind, Threshold};
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::regular_file;
@@ -75,7 +75,7 @@ pub(crate) fn resolve(mut config: Config) -> Result<Resolved> {
 }
 
 /// The run in `root` as it is to go on: with its own settings, map and demonstration, and the limits of `typed`, which
-/// must name the same settings.
+/// must name the same settings. One that began in a single process goes on in several: its weights are the same.
 ///
 /// # Errors
 /// There is no run, another minor version of the program made it, or `typed` has other settings.
@@ -94,6 +94,11 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.env.hazard = typed.env.hazard;
     // The run's map and demonstration are in its directory: where they came from no longer matters.
     let mut typed = typed.clone();
+    for mode in [&mut own.run.mode, &mut typed.run.mode] {
+        if *mode == Mode::Reference {
+            *mode = Mode::Lockstep;
+        }
+    }
     registry().adopt(&mut typed.env, &own.env)?;
     typed.mentor.demo = typed.mentor.demo.map_files(|name, source| {
         own.mentor.demo.get(name).filter(|own| *own != PLAN).unwrap_or(source).into()

@@ -1,9 +1,10 @@
 //! What a killed start leaves in a run's directory and beside it, and how the next command puts it right.
 //!
+//! - *Empty*: the start was killed before it had written anything.
 //! - *Unborn*: the start was killed before the run had a plan. Nothing in it is worth keeping.
 //! - *Untrained*: it has a plan, but neither a checkpoint nor a result. It begins anew.
 //! - *Replaced*: `NAME.replaced-PID` beside it is a run as it was before `--overwrite`. It comes back unless the new run has
-//!   got as far as a checkpoint or a result.
+//!   got as far as a checkpoint or a result. One that had got no further itself goes then.
 //! - *Removed*: `.NAME.removed-PID` is what was on its way out.
 
 use super::fence::try_lock;
@@ -14,13 +15,13 @@ use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    LAST_LINK, LOGS_DIR, PLAN_FILE, RunDir, is_temporary,
+    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
 pub(crate) fn is_unborn(root: &Path) -> bool {
-    const FIRST: [&str; 6] =
-        [CONFIG_FILE, COMMAND_FILE, BUILD_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR];
+    const FIRST: [&str; 7] =
+        [CONFIG_FILE, COMMAND_FILE, MAP_FILE, BUILD_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR, LOGS_DIR];
     let mut some = false;
     let known = |name: &str| FIRST.contains(&name) || is_temporary(name);
     fs::read_dir(root).is_ok_and(|mut entries| {
@@ -31,13 +32,15 @@ pub(crate) fn is_unborn(root: &Path) -> bool {
     }) && some
 }
 
-/// Whether the run in `root` has nothing that it could go on from or that it came to.
+/// Whether the run in `root` has nothing that it could go on from or that it came to. A directory without anything in it may be
+/// somebody's, or what a start has left that was killed at once: a run may begin there in either case.
 pub(crate) fn nothing_saved(root: &Path) -> bool {
     let dir = RunDir::new(root);
+    let empty = || fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_none());
     let untrained = || {
         dir.plan().is_file() && !dir.result().exists() && checkpoint::any_complete(root).is_ok_and(|any| !any)
     };
-    is_unborn(root) || untrained()
+    empty() || is_unborn(root) || untrained()
 }
 
 /// The directory of the run that `path` names: the directory itself, its `config.toml`, its `last`, its `checkpoints`, or one
@@ -173,6 +176,11 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
         if root.exists() {
             let Ok(Some(_of_root)) = try_lock(root) else { continue };
             if occupied(root) && !nothing_saved(root) {
+                if nothing_saved(&aside) {
+                    // There is nothing in it to go back to.
+                    discard(&aside)?;
+                    continue;
+                }
                 said.push(format!(
                     "note: {} is a run that was to be replaced by {}; remove it, or rename it to keep it",
                     aside.display(),
@@ -223,8 +231,9 @@ mod tests {
     fn only_the_beginning_of_a_run_is_begun_anew() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
-        assert!(!is_unborn(root) && !nothing_saved(root), "an empty directory is nobody's");
-        for name in [".config.toml.17.tmp", "config.toml", "logs/x", "demonstrations/a.csv"] {
+        assert!(!is_unborn(root) && nothing_saved(root), "there is nothing to take away");
+        assert!(!nothing_saved(&root.join("absent")));
+        for name in [".config.toml.17.tmp", "config.toml", "map.json", "logs/x", "demonstrations/a.csv"] {
             write(root.join(name));
             assert!(is_unborn(root) && nothing_saved(root), "{name}");
         }
@@ -272,6 +281,10 @@ mod tests {
         write(aside.join("older"));
         assert!(recover(&root).unwrap()[0].contains("best.replaced-45 is a run that was to be replaced"));
         assert!(aside.exists() && root.join("former").exists());
+        // The former one had saved nothing.
+        fs::remove_file(aside.join("older")).unwrap();
+        write(aside.join("plan.bin"));
+        assert!(recover(&root).unwrap().is_empty() && !aside.exists());
         // What is being removed is removed to the end, and other names are nobody's.
         write(dir.path().join(".best.removed-7/half"));
         let others = ["best.replaced-", "best.replaced-x", "bestial.replaced-4", ".best.removed-"];

@@ -58,6 +58,13 @@ impl Display {
         }
     }
 
+    /// A sentence that is worth a line, where anything is shown.
+    pub(crate) fn remark(&self, text: &str) {
+        if !matches!(self.how, How::Quiet) {
+            self.say(text);
+        }
+    }
+
     pub(crate) fn update(&self, progress: &Progress) {
         match &self.how {
             How::Quiet => {}

@@ -18,6 +18,9 @@ mod line;
 mod replacing;
 mod restarts;
 mod signals;
+#[cfg(test)]
+#[path = "../../tests/simulation/mod.rs"]
+mod simulation;
 mod watch;
 
 use crate::prepare::Prepared;

@@ -14,7 +14,9 @@ pub(crate) mod share;
 pub(crate) mod suite;
 
 use crate::flags::Limits;
-use crate::prepare::{Existing, Resolved, has_leftovers, nothing_saved, recover, resolve, resolve_run};
+use crate::prepare::{
+    Existing, Prepared, Resolved, clear_dead, has_leftovers, nothing_saved, recover, resolve, resolve_run,
+};
 use crate::supervise::display::Display;
 use crate::supervise::{Ended, Signals, supervise};
 use anyhow::{Context, Result};
@@ -279,7 +281,12 @@ pub(crate) fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
         return None;
     }
     match existing(job) {
-        Ok(resolved) => resolved.complete(&job.dir).map(|result| Outcome::Complete(Box::new(result))),
+        Ok(resolved) => {
+            let result = resolved.complete(&job.dir)?;
+            // No start in its directory will do it.
+            clear_dead(&job.dir);
+            Some(Outcome::Complete(Box::new(result)))
+        }
         Err(error) => Some(Outcome::Failed(crate::output::words(&error))),
     }
 }
@@ -297,9 +304,16 @@ async fn train(job: &Job, display: &Display) -> Outcome {
     }
 }
 
-/// Trains a run to its end: from its newest checkpoint, or anew where there is none.
+/// Trains a run to its end.
 async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
     let mut signals = Signals::new()?;
+    let mut prepared = ready(job)?;
+    prepared.from().iter().for_each(|from| display.remark(from));
+    supervise(&mut prepared, &mut signals, display).await
+}
+
+/// Prepares a run: to go on from its newest checkpoint, or anew where there is none.
+pub(crate) fn ready(job: &Job) -> Result<Prepared> {
     let (resolved, way) = if nothing_saved(&job.dir) {
         (resolve(job.config.clone())?, Existing::Overwrite)
     } else if job.dir.exists() {
@@ -311,8 +325,7 @@ async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
     } else {
         (resolve(job.config.clone())?, Existing::Keep)
     };
-    let mut prepared = resolved.prepare(&job.dir, way)?;
-    supervise(&mut prepared, &mut signals, display).await
+    resolved.prepare(&job.dir, way)
 }
 
 /// Environment steps a second of a short run like `job`'s, in a directory within `out` that goes with it, also where the sweep

@@ -188,6 +188,8 @@ impl Frozen {
         for record in &self.records {
             own_file::synced(record.file.sync_data()).map_err(io(&record.path, "write"))?;
         }
+        // Their names as well: a checkpoint that counts on a file is of no use without it.
+        file::sync_dir(run_dir)?;
         let (tick, keep, life) = (self.tick(), self.keep, self.life);
         let dir = directory(run_dir, tick);
         let same = |found: &Manifest| {
