@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use trestle_link::{ActorLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorLink, Stop};
 use trestle_proto::acting::{Acting, ActingHeader, Room};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::limits::{OBSERVE_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
@@ -270,15 +270,19 @@ impl LearnerLink for End {
         Err(gone("the mentor-server"))
     }
 
-    fn recv(&mut self, batch: &mut Batch, timeout: Duration) -> Result<Option<FromActor>, LinkError> {
+    fn recv(
+        &mut self,
+        batch: &mut Checked<Batch>,
+        _: u32,
+        timeout: Duration,
+    ) -> Result<Option<FromActor>, LinkError> {
         self.wait(On::Learner(self.plan.life.run), timeout)?;
         let message = self.with(|wire, _| wire.to_learner.pop_front()).ok_or_else(|| broken("messages"))?;
         match message {
             None => Ok(None),
             Some(ToLearner::Reply(reply)) => Ok(Some(FromActor::Reply(reply))),
             Some(ToLearner::Batch(header, payload)) => {
-                let spec = &self.plan.experiment.spec;
-                batch.receive(header, &payload, spec.obs_dim(), spec.n_actions())?;
+                batch.receive(header, &payload, &self.plan.experiment.spaces())?;
                 Ok(Some(FromActor::Batch))
             }
         }
