@@ -7,7 +7,7 @@ use super::fence::Fence;
 use super::ground::map_file;
 use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
-use super::states::{clear_unborn, discard, empty, is_unborn, move_aside, remove_temporaries};
+use super::states::{clear_away, clear_unborn, discard, empty, is_unborn, move_aside, remove_temporaries};
 use crate::build_info::BuildInfo;
 use crate::itself;
 use anyhow::{Context, Result, bail, ensure};
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
-use trestle_link::iceoryx::{Domain, HeldDomain, Liveness};
+use trestle_link::iceoryx::{Domain, HeldDomain};
 use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
@@ -80,7 +80,7 @@ impl Resolved {
         let dir = RunDir::new(root);
         let occupied = occupied(root)?;
         let fence = if occupied && existing != Existing::Keep { Some(Fence::take(root)?) } else { None };
-        clear_away(&dir, fence.as_ref());
+        clear_away(root, fence.as_ref().is_some_and(Fence::holds));
         let followed = match existing {
             Existing::Resume => Some(self.check_resume(&dir)?),
             Existing::Keep if occupied => {
@@ -414,27 +414,6 @@ fn is_run(dir: &RunDir) -> bool {
 /// The number of the learner's start after `generation`.
 fn next_generation(generation: u16) -> Result<u16> {
     generation.checked_add(1).context("the learner has been started 65536 times")
-}
-
-/// Removes what the last run in `dir` has left in shared memory: its supervisor and a process of it may have been killed
-/// within a moment. Whoever has the lock of the directory knows that no process of that run is left; without it, only what
-/// is known to be dead is removed. A copy of a directory names the run of the original, which may be alive.
-fn clear_away(dir: &RunDir, fence: Option<&Fence>) {
-    let Ok(plan) = dir.read_plan() else { return };
-    let domain = Domain::of(plan.life.run);
-    let left = match domain.liveness() {
-        Liveness::Dead => true,
-        Liveness::Unknown => fence.is_some_and(Fence::holds),
-        Liveness::Alive | Liveness::Absent => false,
-    };
-    if left && let Err(error) = domain.remove() {
-        tracing::warn!("cannot remove what the run before has left in shared memory: {error}");
-    }
-}
-
-/// Removes what the run in `root` has left in shared memory, if that is known to be dead.
-pub(crate) fn clear_dead(root: &Path) {
-    clear_away(&RunDir::new(root), None);
 }
 
 /// 64 bits that nobody can guess. A run's identity begins the names of its files in a directory where everybody may create

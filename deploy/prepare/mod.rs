@@ -18,8 +18,8 @@ mod probes;
 mod resolve;
 mod states;
 
-pub(crate) use directory::{Existing, Prepared, clear_dead, quoted};
+pub(crate) use directory::{Existing, Prepared, quoted};
 pub(crate) use fence::try_lock;
 pub(crate) use probes::{Needs, check, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};
-pub(crate) use states::{has_leftovers, nothing_saved, recover, replaced, run_of};
+pub(crate) use states::{clear_away, has_leftovers, nothing_saved, recover, replaced, run_of};

@@ -13,6 +13,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
+use trestle_link::iceoryx::{Domain, Liveness};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
     LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
@@ -178,6 +179,7 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
             if occupied(root) && !nothing_saved(root) {
                 if nothing_saved(&aside) {
                     // There is nothing in it to go back to.
+                    clear_away(&aside, true);
                     discard(&aside)?;
                     continue;
                 }
@@ -189,6 +191,8 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
                 continue;
             }
             if occupied(root) {
+                // Its plan, which names what it shared, goes with it.
+                clear_away(root, true);
                 discard(root)?;
             } else {
                 fs::remove_dir(root).with_context(|| format!("cannot remove {}", root.display()))?;
@@ -207,6 +211,22 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
 
 fn occupied(root: &Path) -> bool {
     fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_some())
+}
+
+/// Removes what the last run in `root` has left in shared memory: its supervisor and a process of it may have been killed
+/// within a moment. Whoever is `alone` in the directory, by its lock, knows that no process of that run is left; others remove
+/// only what is known to be dead. A copy of a directory names the run of the original, which may be alive.
+pub(crate) fn clear_away(root: &Path, alone: bool) {
+    let Ok(plan) = RunDir::new(root).read_plan() else { return };
+    let domain = Domain::of(plan.life.run);
+    let left = match domain.liveness() {
+        Liveness::Dead => true,
+        Liveness::Unknown => alone,
+        Liveness::Alive | Liveness::Absent => false,
+    };
+    if left && let Err(error) = domain.remove() {
+        tracing::warn!("cannot remove what the run before has left in shared memory: {error}");
+    }
 }
 
 /// Empties `root`, which this process has locked, of what a killed start left there.

@@ -15,7 +15,7 @@ pub(crate) mod suite;
 
 use crate::flags::Limits;
 use crate::prepare::{
-    Existing, Prepared, Resolved, clear_dead, has_leftovers, nothing_saved, recover, resolve, resolve_run,
+    Existing, Prepared, Resolved, clear_away, has_leftovers, nothing_saved, recover, resolve, resolve_run,
 };
 use crate::supervise::display::Display;
 use crate::supervise::{Ended, Signals, supervise};
@@ -284,7 +284,7 @@ pub(crate) fn finished(job: &Job, disturbed: bool) -> Option<Outcome> {
         Ok(resolved) => {
             let result = resolved.complete(&job.dir)?;
             // No start in its directory will do it.
-            clear_dead(&job.dir);
+            clear_away(&job.dir, false);
             Some(Outcome::Complete(Box::new(result)))
         }
         Err(error) => Some(Outcome::Failed(crate::output::words(&error))),
