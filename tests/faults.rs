@@ -210,7 +210,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
     for words in [
         "unexpected message: batch BatchHeader { run: ",
         "a batch of actor 0 from number 1 on; ",
-        "actor: 63,",
+        "batch of actor 63; this run has 2",
         "has observations of 3 features; this run's have 2",
         "transition 0 of actor 0 has a reward that is not finite",
     ] {
