@@ -26,7 +26,14 @@ def breakout(sticky: float = 0.0) -> gymnasium.Env[Any, Any]:
     """MinAtar's Breakout with the actions stay, left and right; ``sticky`` is how likely the last action is repeated."""
     from minatar.gym import BaseEnv
 
-    env: gymnasium.Env[Any, Any] = BaseEnv("breakout", use_minimal_action_set=True, sticky_action_prob=sticky)
+    class Breakout(BaseEnv):  # type: ignore[misc]
+        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+            # MinAtar remembers the last action of the episode before, so that episodes would not repeat.
+            self.game.last_action = 0
+            answer: tuple[Any, dict[str, Any]] = super().reset(seed=seed, options=options)
+            return answer
+
+    env: gymnasium.Env[Any, Any] = Breakout("breakout", use_minimal_action_set=True, sticky_action_prob=sticky)
     return env
 
 
