@@ -34,7 +34,8 @@ fn infer(bencher: Bencher<'_, '_>, width: usize) {
 /// A gradient step.
 #[divan::bench(args = SIZES)]
 fn step(bencher: Bencher<'_, '_>, (width, batch): (usize, usize)) {
-    let mut step = GradientStep::new(&sizes(width), batch, false, Kernels::detect()).unwrap();
+    let mut step =
+        GradientStep::new(Layout::new(&sizes(width)).unwrap(), batch, false, Kernels::detect()).unwrap();
     bencher.bench_local(|| step.run());
 }
 

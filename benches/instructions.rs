@@ -16,7 +16,7 @@ use trestle_proto::config;
 use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::observe::Observed;
 use trestle_proto::orders::Collect;
-use trestle_qnet::{Isa, Kernels};
+use trestle_qnet::{Isa, Kernels, Layout};
 
 fn main() -> Result<()> {
     let mut args = std::env::args().skip(1);
@@ -33,7 +33,7 @@ fn main() -> Result<()> {
 /// Gradient steps of maze30's network, with AVX2: valgrind does not know AVX-512.
 fn steps(times: u64) -> Result<()> {
     let kernels = Kernels::new(Isa::Avx2).context("this machine has no AVX2 with FMA")?;
-    let mut step = GradientStep::new(&[2, 128, 128, 4], 32, false, kernels)?;
+    let mut step = GradientStep::new(Layout::new(&[2, 128, 128, 4])?, 32, false, kernels)?;
     (0..times).try_for_each(|_| step.run())
 }
 

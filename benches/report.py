@@ -39,7 +39,7 @@ def measured(report: dict, columns: dict[str, str]) -> str:
 
 
 def network(row: dict) -> tuple:
-    return row["inputs"], *row["hidden"], row["batch"]
+    return row["inputs"], row["conv"], *row["hidden"], row["batch"]
 
 
 def peers(step: dict, *others: dict) -> str:
@@ -48,7 +48,7 @@ def peers(step: dict, *others: dict) -> str:
     for row in step["rows"]:
         if row["isa"] != step["machine"]["isa"] or row["algo"] != "dqn":
             continue
-        line = {"inputs": row["inputs"], "hidden": row["hidden"], "batch": row["batch"], "us": row["us"]}
+        line = {"inputs": row["inputs"], "conv": row["conv"], "hidden": row["hidden"], "batch": row["batch"], "us": row["us"]}
         for other in others:
             for found in other["rows"]:
                 if network(found) == network(row):
@@ -56,7 +56,7 @@ def peers(step: dict, *others: dict) -> str:
                     line[name] = found["us"]
                     line[f"{name}_ratio"] = found["us"] / row["us"]
         rows.append(line)
-    columns = {"inputs": "inputs", "hidden": "hidden", "batch": "batch", "us": "Trestle, us"}
+    columns = {"inputs": "inputs", "conv": "convolution", "hidden": "hidden", "batch": "batch", "us": "Trestle, us"}
     for key, title in (("step_torch_eager", "PyTorch eager"), ("step_torch_compiled", "PyTorch compiled"),
                        ("step_jax_jit", "JAX jit")):
         if any(key in row for row in rows):
@@ -89,7 +89,7 @@ def against_sb3(report: dict) -> str:
 # Of each table: the measurements that it needs, and how it is made of them.
 TABLES = {
     "step": (["step"], lambda step: measured(step, {
-        "algo": "algorithm", "inputs": "inputs", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
+        "algo": "algorithm", "inputs": "inputs", "conv": "convolution", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
         "limit_us": "limit, us", "times_limit": "times the limit", "peak_gflops": "peak, GFLOP/s"})),
     "peers": (["step", "step_torch", "step_jax"], peers),
     "infer": (["infer"], lambda infer: measured(infer, {

@@ -10,6 +10,9 @@ from pathlib import Path
 
 # Input, width of both hidden layers, outputs; rows of a batch.
 SIZES = (((8, 64, 4), 32), ((8, 128, 4), 64), ((8, 256, 4), 128), ((2, 128, 4), 32))
+# MinAtar's network: height, width, channels of the input; channels and kernel of the convolution; width of the hidden layer,
+# outputs; rows of a batch.
+GRID, CONV, DENSE, CONV_BATCH = (10, 10, 4), (16, 3), (128, 6), 32
 GAMMA, REWARD = 0.99, -0.04
 LEARNING_RATE, BETA_1, BETA_2, EPSILON = 1e-3, 0.9, 0.999, 1e-8
 SAMPLES, SAMPLE_S = 31, 0.02
@@ -51,6 +54,15 @@ def cpu_model() -> str:
         if line.startswith("model name"):
             return line.partition(":")[2].strip()
     return platform.machine()
+
+
+def row(sizes, batch: int, how: str, us: float) -> dict:
+    """A row of the report; `sizes` is None for the network with a convolution."""
+    if sizes is None:
+        height, width, channels = GRID
+        return {"inputs": height * width * channels, "conv": f"{CONV[0]} of {CONV[1]} x {CONV[1]}", "hidden": [DENSE[0]],
+                "batch": batch, "how": how, "us": round(us, 2)}
+    return {"inputs": sizes[0], "conv": "-", "hidden": [sizes[1]] * 2, "batch": batch, "how": how, "us": round(us, 2)}
 
 
 def print_report(name: str, versions: dict, rows: list) -> None:

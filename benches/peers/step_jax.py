@@ -4,6 +4,7 @@ Parameters, target and Adam's state are one pytree that each step takes and retu
 medians of CPU time.
 """
 
+import math
 import os
 
 # Before jax is imported: one thread, as everything it is compared with.
@@ -16,23 +17,35 @@ import jax.numpy as jnp
 # Handing each step to another thread costs more than the step.
 jax.config.update("jax_cpu_enable_async_dispatch", False)
 
-from step_common import BETA_1, BETA_2, EPSILON, GAMMA, LEARNING_RATE, REWARD, SIZES, arguments, medians, print_report
+from step_common import (BETA_1, BETA_2, CONV, CONV_BATCH, DENSE, EPSILON, GAMMA, GRID, LEARNING_RATE, REWARD, SIZES, arguments,
+                         medians, print_report, row)
 
 
 def initial(sizes, key):
-    inputs, width, outputs = sizes
+    if sizes is None:
+        (height, width, channels), (outputs, kernel), (hidden, actions) = GRID, CONV, DENSE
+        places = (height - kernel + 1) * (width - kernel + 1)
+        shapes = ((kernel, kernel, channels, outputs), (places * outputs, hidden), (hidden, actions))
+    else:
+        inputs, width, outputs = sizes
+        shapes = ((inputs, width), (width, width), (width, outputs))
     layers = []
-    for rows, columns in ((inputs, width), (width, width), (width, outputs)):
+    for shape in shapes:
         key, weights, bias = jax.random.split(key, 3)
-        bound = rows ** -0.5
-        layers.append((jax.random.uniform(weights, (rows, columns), minval=-bound, maxval=bound),
+        *rows, columns = shape
+        bound = math.prod(rows) ** -0.5
+        layers.append((jax.random.uniform(weights, shape, minval=-bound, maxval=bound),
                        jax.random.uniform(bias, (columns,), minval=-bound, maxval=bound)))
     return layers
 
 
 def values(layers, x):
     for weights, bias in layers[:-1]:
-        x = jax.nn.relu(x @ weights + bias)
+        if weights.ndim == 4:
+            x = jax.lax.conv_general_dilated(x, weights, (1, 1), "VALID", dimension_numbers=("NHWC", "HWIO", "NHWC"))
+            x = jax.nn.relu(x + bias).reshape(x.shape[0], -1)
+        else:
+            x = jax.nn.relu(x @ weights + bias)
     weights, bias = layers[-1]
     return x @ weights + bias
 
@@ -59,9 +72,10 @@ def make_step(sizes, batch: int):
     keys = jax.random.split(jax.random.key(1), 3)
     online = initial(sizes, keys[0])
     target = jax.tree.map(jnp.copy, online)
-    x = jax.random.uniform(keys[1], (batch, sizes[0]), minval=-1.0)
-    following = jax.random.uniform(keys[2], (batch, sizes[0]), minval=-1.0)
-    actions = jnp.arange(batch) % sizes[2]
+    shape = GRID if sizes is None else sizes[:1]
+    x = jax.random.uniform(keys[1], (batch, *shape), minval=-1.0)
+    following = jax.random.uniform(keys[2], (batch, *shape), minval=-1.0)
+    actions = jnp.arange(batch) % (DENSE[1] if sizes is None else sizes[2])
     compiled = jax.jit(step, donate_argnums=0)
     zeros = [jax.tree.map(jnp.zeros_like, online) for _ in range(2)]
     state = (online, *zeros, jnp.float32(0.0))
@@ -75,10 +89,10 @@ def make_step(sizes, batch: int):
 
 def main() -> None:
     args = arguments(__doc__)
-    cases = {(sizes, batch): make_step(sizes, batch) for sizes, batch in SIZES}
+    cases = {(sizes, batch): make_step(sizes, batch) for sizes, batch in (*SIZES, (None, CONV_BATCH))}
     found = medians(cases, args.quick)
     print_report("step_jax", {"jax": jax.__version__}, [
-        {"inputs": sizes[0], "hidden": [sizes[1]] * 2, "batch": batch, "how": "jit", "us": round(us, 2)}
+        row(sizes, batch, "jit", us)
         for (sizes, batch), us in found.items()
     ])
 

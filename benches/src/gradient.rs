@@ -31,10 +31,9 @@ pub struct GradientStep {
 }
 
 impl GradientStep {
-    /// A fresh network of `sizes` (input, hidden layers, output), and `rows` samples with features from -1 to 1; with
-    /// `mentor`, DIIQN's, each of which has a similar mentor transition.
-    pub fn new(sizes: &[usize], rows: usize, mentor: bool, kernels: Kernels) -> Result<Self> {
-        let layout = Layout::new(sizes)?;
+    /// A fresh network of `layout`, and `rows` samples with features from -1 to 1; with `mentor`, DIIQN's, each of which has
+    /// a similar mentor transition.
+    pub fn new(layout: Layout, rows: usize, mentor: bool, kernels: Kernels) -> Result<Self> {
         let params = init(&layout, &mut stream(1, Purpose::Weights, 0));
         let forward_rows = if mentor { 2 * rows } else { rows };
         let features = |seed: u64, rows: usize| -> Vec<f32> {

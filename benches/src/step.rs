@@ -7,15 +7,35 @@ use anyhow::Result;
 use std::hint::black_box;
 use trestle_bench::gradient::GradientStep;
 use trestle_qnet::kernels::peak::{adam_traffic, multiply_adds};
-use trestle_qnet::{Isa, Kernels, Layout};
+use trestle_qnet::{Grid, Isa, Kernels, Layout};
 
-/// Sizes of the network and rows of a batch; the last one is maze30's.
-const SIZES: [(&[usize], usize); 4] =
-    [(&[8, 64, 64, 4], 32), (&[8, 128, 128, 4], 64), (&[8, 256, 256, 4], 128), (&[2, 128, 128, 4], 32)];
+/// Sizes of the network and rows of a batch; the last one but one is maze30's, the last MinAtar's, with its convolution.
+const SIZES: [(&[usize], usize); 5] = [
+    (&[8, 64, 64, 4], 32),
+    (&[8, 128, 128, 4], 64),
+    (&[8, 256, 256, 4], 128),
+    (&[2, 128, 128, 4], 32),
+    (&[400, 128, 6], 32),
+];
+/// Channels and kernel of MinAtar's convolution of 10 x 10 x 4 numbers.
+const CONV: (usize, usize) = (16, 3);
 /// DIIQN's step has a second forward pass, of the mentor's states.
 const ALGOS: [&str; 2] = ["dqn", "diiqn"];
 /// Multiply-adds in a sample of the peak.
 const ROUNDS: u64 = 10_000;
+
+/// Whether the network of `sizes` begins with MinAtar's convolution.
+fn convolves(sizes: &[usize]) -> bool {
+    sizes.len() == 3
+}
+
+fn layout(sizes: &[usize]) -> Result<Layout> {
+    if !convolves(sizes) {
+        return Ok(Layout::new(sizes)?);
+    }
+    let grid = Grid { height: 10, width: 10, channels: 4, channels_first: false };
+    Ok(Layout::with_conv(grid, &[(CONV.0, CONV.1, 1)], &sizes[1..])?)
+}
 
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let all: Vec<Kernels> = Isa::available().filter_map(Kernels::new).collect();
@@ -28,11 +48,11 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
         }));
         for (sizes, rows) in SIZES {
             for algo in ALGOS {
-                let mut step = GradientStep::new(sizes, rows, algo != "dqn", kernels)?;
-                operations.push(flops(&Layout::new(sizes)?, rows, step.forward_rows()));
+                let mut step = GradientStep::new(layout(sizes)?, rows, algo != "dqn", kernels)?;
+                operations.push(flops(&layout(sizes)?, rows, step.forward_rows()));
                 cases.push(Box::new(move || step.run()));
             }
-            cases.push(traffic(kernels, Layout::new(sizes)?.n_params()));
+            cases.push(traffic(kernels, layout(sizes)?.n_params()));
         }
     }
     let found = medians(&mut cases, effort)?;
@@ -50,6 +70,7 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
                     Row::new()
                         .with("algo", algo)
                         .with("inputs", sizes[0])
+                        .with("conv", conv(sizes))
                         .with("hidden", &sizes[1..sizes.len() - 1])
                         .with("batch", batch)
                         .with("isa", kernels.isa().to_string())
@@ -63,6 +84,12 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
         }
     }
     Ok(rows)
+}
+
+/// The convolution of the network of `sizes`, for people.
+fn conv(sizes: &[usize]) -> String {
+    let (channels, kernel) = CONV;
+    if convolves(sizes) { format!("{channels} of {kernel} x {kernel}") } else { "-".into() }
 }
 
 /// Adam's bytes for `n` parameters, moved and nothing else.
@@ -81,7 +108,8 @@ fn flops(layout: &Layout, batch: usize, forward_rows: usize) -> usize {
     let last = layout.layers().len() - 1;
     let products = |l: usize| {
         let layer = layout.layers()[l];
-        let all = layer.weights().len();
+        // A convolution is applied at every position.
+        let all = layer.positions() * layer.weights().len();
         let backward = if l == last { layer.inputs } else { all };
         // Nobody asks for the gradient of the input.
         (batch + forward_rows) * all + batch * (backward + if l == 0 { 0 } else { backward })
@@ -101,5 +129,9 @@ mod tests {
         assert_eq!(flops(&layout, 1, 1), 2 * (2 * 18 + 6 + 3 + 3));
         assert_eq!(flops(&layout, 5, 5), 5 * flops(&layout, 1, 1));
         assert_eq!(flops(&layout, 1, 2), flops(&layout, 1, 1) + 2 * 18);
+        // 64 positions of 36 numbers and 16 channels, twice forward and once backward.
+        let minatar = super::layout(SIZES[4].0).unwrap();
+        let dense = 2 * (4 * 1024 * 128 + 2 * 128 * 6 + 2 * 128);
+        assert_eq!(flops(&minatar, 1, 1), 2 * 3 * 64 * 36 * 16 + dense);
     }
 }

@@ -8,7 +8,7 @@ pub(crate) use onnx::model;
 pub(crate) use tensors::file;
 
 use trestle_proto::experiment::Experiment;
-use trestle_qnet::{Encoding, Layer, Layout};
+use trestle_qnet::{Conv, Encoding, Layer, Layout};
 
 /// A network as it is exported.
 pub(crate) struct Network {
@@ -25,17 +25,35 @@ pub(crate) struct Network {
     pub(crate) high: Vec<f32>,
     /// Number of categories of each feature; 0 for one that is scaled.
     pub(crate) categories: Vec<usize>,
-    pub(crate) layers: Vec<Dense>,
+    pub(crate) layers: Vec<Exported>,
 }
 
-/// A layer: `y = x W + b`, and a ReLU behind all but the last.
-pub(crate) struct Dense {
+/// A layer: `y = x W + b`, and a ReLU behind all but the last. A convolution is that at every position.
+pub(crate) struct Exported {
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
     /// `[inputs][outputs]`, row-major.
     pub(crate) weights: Vec<f32>,
     /// `[outputs]`
     pub(crate) bias: Vec<f32>,
+    /// What it is a convolution of.
+    pub(crate) conv: Option<Conv>,
+}
+
+impl Exported {
+    /// Shape and numbers of the weights as PyTorch has them: `[outputs][inputs]`, or `[channels out][channels in][kernel][kernel]`.
+    fn outputs_first(&self) -> (Vec<usize>, Vec<f32>) {
+        let (inputs, outputs) = (self.inputs, self.outputs);
+        let weight = |from: usize, to: usize| self.weights[from * outputs + to];
+        let Some(Conv { grid, kernel, .. }) = self.conv else {
+            let all = (0..outputs).flat_map(|to| (0..inputs).map(move |from| weight(from, to)));
+            return (vec![outputs, inputs], all.collect());
+        };
+        let (channels, area) = (grid.channels, kernel * kernel);
+        // The numbers under the kernel are in the order row, column, channel.
+        let of = |to: usize| (0..inputs).map(move |at| weight(at % area * channels + at / area, to));
+        (vec![outputs, channels, kernel, kernel], (0..outputs).flat_map(of).collect())
+    }
 }
 
 impl Network {
@@ -61,11 +79,12 @@ impl Network {
             // As it is: from -1..=1 onto itself.
             Encoding::Identity { dim } => (vec![-1.0; dim], vec![1.0; dim], vec![0; dim]),
         };
-        let dense = |layer: &Layer| Dense {
+        let exported = |layer: &Layer| Exported {
             inputs: layer.inputs,
             outputs: layer.outputs,
             weights: params[layer.weights()].to_vec(),
             bias: params[layer.bias()].to_vec(),
+            conv: layer.conv,
         };
         Self {
             env: experiment.spec.name.clone(),
@@ -75,7 +94,7 @@ impl Network {
             low,
             high,
             categories,
-            layers: layout.layers().iter().map(dense).collect(),
+            layers: layout.layers().iter().map(exported).collect(),
         }
     }
 

@@ -1,7 +1,8 @@
 //! A network as an ONNX model: observations in, a value for each action out. The numbers of fields are those of `onnx.proto`.
 
-use super::Network;
 use super::protobuf::Message;
+use super::{Exported, Network};
+use trestle_qnet::{Conv, Grid};
 
 /// Version of the format, and of the set of operators: what every runtime since 2021 has.
 const IR_VERSION: u64 = 7;
@@ -11,6 +12,7 @@ const FLOAT: u64 = 1;
 const INT64: u64 = 7;
 /// Types of an attribute.
 const INT: u64 = 2;
+const INTS: u64 = 7;
 
 /// Names of the model's input and output.
 const INPUT: &str = "observation";
@@ -22,7 +24,22 @@ pub(crate) fn model(network: &Network) -> Vec<u8> {
     let encoded = graph.encode(network);
     let last = network.layers.len() - 1;
     let mut x = encoded;
+    let mut planes = false;
     for (i, layer) in network.layers.iter().enumerate() {
+        if let Some(conv) = layer.conv {
+            if !planes {
+                x = graph.planes(&x, conv.grid);
+                planes = true;
+            }
+            x = graph.convolution(&x, i, layer, conv);
+            continue;
+        }
+        if std::mem::take(&mut planes) {
+            // A row of numbers in the order of a convolution's: height, width, channel.
+            let last = graph.node("Transpose", &[&x], &[Attribute::Integers("perm", &[0, 2, 3, 1])]);
+            let shape = graph.integers(&format!("layers.{i}.shape"), &[-1, layer.inputs as i64]);
+            x = graph.node("Reshape", &[&last, &shape], &[]);
+        }
         let weight =
             graph.floats(&format!("layers.{i}.weight"), &[layer.inputs, layer.outputs], &layer.weights);
         let bias = graph.floats(&format!("layers.{i}.bias"), &[layer.outputs], &layer.bias);
@@ -61,6 +78,24 @@ fn value(name: &str, width: usize, doc: &str) -> Message {
     Message::new().text(1, name).message(2, Message::new().message(1, tensor)).text(3, doc)
 }
 
+/// A setting of an operation.
+enum Attribute<'a> {
+    Integer(&'a str, u64),
+    Integers(&'a str, &'a [u64]),
+}
+
+impl Attribute<'_> {
+    fn message(&self) -> Message {
+        match *self {
+            Self::Integer(name, value) => Message::new().text(1, name).number(3, value).number(20, INT),
+            Self::Integers(name, values) => {
+                let named = Message::new().text(1, name);
+                values.iter().fold(named, |message, &value| message.number(8, value)).number(20, INTS)
+            }
+        }
+    }
+}
+
 /// What the model computes.
 #[derive(Default)]
 struct Graph {
@@ -75,8 +110,8 @@ impl Graph {
         self.tensor(name, FLOAT, dims, &bytes)
     }
 
-    fn integers(&mut self, name: &str, values: &[usize]) -> String {
-        let bytes: Vec<u8> = values.iter().flat_map(|&value| (value as i64).to_le_bytes()).collect();
+    fn integers(&mut self, name: &str, values: &[i64]) -> String {
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         self.tensor(name, INT64, &[values.len()], &bytes)
     }
 
@@ -87,18 +122,41 @@ impl Graph {
     }
 
     /// An operation; returns the name of its result.
-    fn node(&mut self, operator: &str, inputs: &[&str], integers: &[(&str, u64)]) -> String {
+    fn node(&mut self, operator: &str, inputs: &[&str], attributes: &[Attribute<'_>]) -> String {
         let output = format!("t{}", self.nodes.len());
-        self.node_into(operator, inputs, integers, &output);
+        self.node_into(operator, inputs, attributes, &output);
         output
     }
 
-    fn node_into(&mut self, operator: &str, inputs: &[&str], integers: &[(&str, u64)], output: &str) {
+    fn node_into(&mut self, operator: &str, inputs: &[&str], attributes: &[Attribute<'_>], output: &str) {
         let node = inputs.iter().fold(Message::new(), |node, input| node.text(1, input));
-        let attributes = integers
-            .iter()
-            .map(|&(name, value)| Message::new().text(1, name).number(3, value).number(20, INT));
+        let attributes = attributes.iter().map(Attribute::message);
         self.nodes.push(node.text(2, output).text(4, operator).messages(5, attributes));
+    }
+
+    /// The rows `x` as grids with the channels first; returns their name.
+    fn planes(&mut self, x: &str, grid: Grid) -> String {
+        let [height, width, channels] = [grid.height, grid.width, grid.channels].map(|side| side as i64);
+        let shape =
+            if grid.channels_first { [-1, channels, height, width] } else { [-1, height, width, channels] };
+        let shape = self.integers("grid", &shape);
+        let grids = self.node("Reshape", &[x, &shape], &[]);
+        if grid.channels_first {
+            return grids;
+        }
+        self.node("Transpose", &[&grids], &[Attribute::Integers("perm", &[0, 3, 1, 2])])
+    }
+
+    /// Layer `i`, a convolution of the grids `x`, with its ReLU; returns the name of the result.
+    fn convolution(&mut self, x: &str, i: usize, layer: &Exported, conv: Conv) -> String {
+        let (shape, weights) = layer.outputs_first();
+        let weight = self.floats(&format!("layers.{i}.weight"), &shape, &weights);
+        let bias = self.floats(&format!("layers.{i}.bias"), &[layer.outputs], &layer.bias);
+        let [kernel, stride] = [conv.kernel, conv.stride].map(|side| [side as u64; 2]);
+        let attributes =
+            [Attribute::Integers("kernel_shape", &kernel), Attribute::Integers("strides", &stride)];
+        let sum = self.node("Conv", &[x, &weight, &bias], &attributes);
+        self.node("Relu", &[&sum], &[])
     }
 
     /// The encoding of the observations; returns the name of the network's input. Neighbours that are scaled are scaled together.
@@ -110,8 +168,9 @@ impl Graph {
             let size = network.categories[from];
             let to =
                 if size > 0 { from + 1 } else { (from..n).find(|&i| network.categories[i] > 0).unwrap_or(n) };
-            let places = self.integers(&format!("encoding.{from}.places"), &(from..to).collect::<Vec<_>>());
-            let own = self.node("Gather", &[INPUT, &places], &[("axis", 1)]);
+            let places = self
+                .integers(&format!("encoding.{from}.places"), &(from as i64..to as i64).collect::<Vec<_>>());
+            let own = self.node("Gather", &[INPUT, &places], &[Attribute::Integer("axis", 1)]);
             let low = self.floats(&format!("encoding.{from}.low"), &[to - from], &network.low[from..to]);
             let above = self.node("Sub", &[&own, &low], &[]);
             parts.push(if size > 0 {
@@ -122,7 +181,7 @@ impl Graph {
                 let whole = self.node("Round", &[&above], &[]);
                 let category = self.node("Clip", &[&whole, &first, &last], &[]);
                 let is = self.node("Equal", &[&category, &numbers], &[]);
-                self.node("Cast", &[&is], &[("to", FLOAT)])
+                self.node("Cast", &[&is], &[Attribute::Integer("to", FLOAT)])
             } else {
                 let width: Vec<f32> = (from..to).map(|i| network.high[i] - network.low[i]).collect();
                 let width = self.floats(&format!("encoding.{from}.width"), &[to - from], &width);
@@ -135,6 +194,6 @@ impl Graph {
             from = to;
         }
         let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
-        self.node("Concat", &parts, &[("axis", 1)])
+        self.node("Concat", &parts, &[Attribute::Integer("axis", 1)])
     }
 }

@@ -19,12 +19,17 @@ pub(crate) fn file(network: &Network) -> Result<Vec<u8>> {
         ),
     ];
     for (i, layer) in network.layers.iter().enumerate() {
-        // As torch.nn.Linear has them.
-        let transposed: Vec<f32> = (0..layer.outputs)
-            .flat_map(|to| (0..layer.inputs).map(move |from| layer.weights[from * layer.outputs + to]))
-            .collect();
-        let shape = vec![layer.outputs, layer.inputs];
-        tensors.push((format!("layers.{i}.weight"), Dtype::F32, shape, floats(&transposed)));
+        // As torch.nn.Linear and torch.nn.Conv2d have them.
+        let (shape, weights) = layer.outputs_first();
+        tensors.push((format!("layers.{i}.weight"), Dtype::F32, shape, floats(&weights)));
+        if let Some(conv) = layer.conv {
+            tensors.push((
+                format!("layers.{i}.stride"),
+                Dtype::I64,
+                vec![1],
+                (conv.stride as i64).to_le_bytes().to_vec(),
+            ));
+        }
         tensors.push((format!("layers.{i}.bias"), Dtype::F32, vec![layer.outputs], floats(&layer.bias)));
     }
     let views = tensors

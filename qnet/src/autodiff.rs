@@ -8,7 +8,7 @@
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{Linear, Module};
 
-use crate::layout::Layout;
+use crate::layout::{Conv, Grid, Layout};
 use crate::loss::Loss;
 
 /// A batch of samples whose targets are known.
@@ -37,6 +37,10 @@ pub fn q_values(layout: &Layout, params: &Tensor, x: &Tensor) -> Result<Tensor> 
     for (l, layer) in layout.layers().iter().enumerate() {
         let weights = params.narrow(0, layer.offset, layer.weights().len())?;
         let bias = params.narrow(0, layer.bias().start, layer.outputs)?;
+        if let Some(conv) = layer.conv {
+            x = convolved(&conv, &weights, &bias, &x)?.relu()?;
+            continue;
+        }
         // candle's `Linear` expects `[outputs][inputs]`: a transposed view of ours.
         let linear = Linear::new(weights.reshape((layer.inputs, layer.outputs))?.t()?, Some(bias));
         x = linear.forward(&x)?;
@@ -45,6 +49,25 @@ pub fn q_values(layout: &Layout, params: &Tensor, x: &Tensor) -> Result<Tensor> 
         }
     }
     Ok(x)
+}
+
+/// A convolution of `x`, `[rows][numbers of the grid]`, with flat `weights`, as `[rows][positions * channels]`.
+fn convolved(conv: &Conv, weights: &Tensor, bias: &Tensor, x: &Tensor) -> Result<Tensor> {
+    let (rows, Grid { height, width, channels, channels_first }) = (x.dim(0)?, conv.grid);
+    // candle has the channels first, in the input as in the weights.
+    let x = if channels_first {
+        x.reshape((rows, channels, height, width))?
+    } else {
+        x.reshape((rows, height, width, channels))?.permute((0, 3, 1, 2))?.contiguous()?
+    };
+    // Without the rows and columns at the end that no position covers: candle's gradient cannot pad them in one dimension alone.
+    let [down, across] = conv.places().map(|places| (places - 1) * conv.stride + conv.kernel);
+    let x = x.narrow(2, 0, down)?.narrow(3, 0, across)?.contiguous()?;
+    let outputs = bias.dim(0)?;
+    let kernel = weights.reshape((conv.kernel, conv.kernel, channels, outputs))?.permute((3, 2, 0, 1))?;
+    let y = x.conv2d(&kernel.contiguous()?, 0, conv.stride, 1, 1)?;
+    let y = y.broadcast_add(&bias.reshape((1, outputs, 1, 1))?)?;
+    y.permute((0, 2, 3, 1))?.contiguous()?.flatten_from(1)
 }
 
 /// `scale * sum over rows of weight * loss(Q(x, action), target)`, and its gradient with respect to `params`,
@@ -99,18 +122,19 @@ mod tests {
     use crate::backward::{RowGrad, backward};
     use crate::kernels::{Isa, Kernels};
     use crate::layout::init;
+    use crate::layout::testing::{layouts, places};
     use crate::net::{Workspace, forward_train};
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
         fn kernels_agree_with_autodiff(
-            sizes in prop::collection::vec(1usize..70, 2..7),
+            layout in layouts(70),
             rows in prop_oneof![6 => 1usize..40, 1 => 1usize..=1024],
             seed: u64,
             huber: bool,
         ) {
-            check(&sizes, rows, seed, huber)?;
+            check(&layout, rows, seed, huber)?;
         }
     }
 
@@ -123,7 +147,9 @@ mod tests {
             (&[9, 1025, 2], 31),
         ] {
             let rejected = |result: &TestCaseResult| matches!(result, Err(TestCaseError::Reject(_)));
-            let mut results = (0..20).map(|seed| check(sizes, rows, seed, true)).skip_while(rejected);
+            let mut results = (0..20)
+                .map(|seed| check(&Layout::new(sizes).unwrap(), rows, seed, true))
+                .skip_while(rejected);
             results.next().unwrap().unwrap();
         }
     }
@@ -135,9 +161,15 @@ mod tests {
             let mut x: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
             hidden.iter().any(|layer| {
                 let (weights, bias) = (&params[layer.weights()], &params[layer.bias()]);
-                let mut sums: Vec<f64> = bias.iter().map(|&b| f64::from(b)).collect();
-                for (x, weights) in x.iter().zip(weights.chunks_exact(layer.outputs)) {
-                    sums.iter_mut().zip(weights).for_each(|(sum, &w)| *sum += x * f64::from(w));
+                let (bases, offsets) = places(layer);
+                let mut sums = Vec::new();
+                for base in bases {
+                    let mut own: Vec<f64> = bias.iter().map(|&b| f64::from(b)).collect();
+                    for (at, weights) in offsets.iter().zip(weights.chunks_exact(layer.outputs)) {
+                        let x = x[base + at];
+                        own.iter_mut().zip(weights).for_each(|(sum, &w)| *sum += x * f64::from(w));
+                    }
+                    sums.extend(own);
                 }
                 let at_a_kink = sums.iter().any(|sum| sum.abs() < 1e-6);
                 x = sums.into_iter().map(|sum| sum.max(0.0)).collect();
@@ -147,14 +179,13 @@ mod tests {
     }
 
     /// Loss and gradient on every instruction set against autodiff's, and against each other bit by bit.
-    fn check(sizes: &[usize], rows: usize, seed: u64, huber: bool) -> TestCaseResult {
-        let layout = Layout::new(sizes).unwrap();
+    fn check(layout: &Layout, rows: usize, seed: u64, huber: bool) -> TestCaseResult {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let params = init(&layout, &mut rng);
+        let params = init(layout, &mut rng);
         let mut floats = |n: usize| (0..n).map(|_| rng.random_range(-2.0f32..2.0)).collect::<Vec<f32>>();
         let (x, targets, weights) = (floats(rows * layout.input()), floats(rows), floats(rows));
         let actions: Vec<u32> = (0..rows).map(|_| rng.random_range(0..layout.output() as u32)).collect();
-        if at_a_kink(&layout, &params, &x) {
+        if at_a_kink(layout, &params, &x) {
             return Err(TestCaseError::reject("a ReLU at its kink"));
         }
         let loss = if huber { Loss::Huber { delta: 0.7 } } else { Loss::Squared };
@@ -162,13 +193,13 @@ mod tests {
 
         let var = Var::from_slice(&params, params.len(), &Device::Cpu).unwrap();
         let samples = Samples { x: &x, actions: &actions, targets: &targets, weights: &weights, scale };
-        let (expected_loss, expected) = loss_and_gradient(&layout, &var, &samples, loss).unwrap();
+        let (expected_loss, expected) = loss_and_gradient(layout, &var, &samples, loss).unwrap();
 
         let mut found: Option<(f32, Vec<f32>)> = None;
         for isa in Isa::available() {
-            let mut ws = Workspace::with_kernels(&layout, rows, Kernels::new(isa).unwrap());
+            let mut ws = Workspace::with_kernels(layout, rows, Kernels::new(isa).unwrap());
             let mut q = vec![0.0; rows * layout.output()];
-            forward_train(&layout, &params, &x, rows, &mut ws, &mut q);
+            forward_train(layout, &params, &x, rows, &mut ws, &mut q);
             let mut total = 0.0;
             let terms: Vec<RowGrad> = (0..rows)
                 .map(|r| {
@@ -179,7 +210,7 @@ mod tests {
                 })
                 .collect();
             let mut grad = vec![f32::NAN; layout.n_params()];
-            backward(&layout, &params, &mut ws, &terms, &mut grad);
+            backward(layout, &params, &mut ws, &terms, &mut grad);
 
             let close = (total - expected_loss).abs() < 1e-4 * (1.0 + total.abs());
             prop_assert!(close, "{}: {} {}", isa, total, expected_loss);

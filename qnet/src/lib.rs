@@ -32,7 +32,7 @@ pub use backward::{RowGrad, backward, backward_outputs};
 pub use buffer::AlignedBuffer;
 pub use encode::{Encoding, EncodingError};
 pub use kernels::{Isa, Kernels};
-pub use layout::{Layer, Layout, LayoutError, init};
+pub use layout::{Conv, Grid, Layer, Layout, LayoutError, init};
 pub use loss::{Loss, LossError};
 pub use net::{Workspace, argmax, forward, forward_train};
 pub use qnetwork::{NetworkError, QNetwork};

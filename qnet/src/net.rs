@@ -1,14 +1,14 @@
 //! Values of a network: the forward pass, for acting and for training.
 
 use crate::buffer::AlignedBuffer;
-use crate::kernels::{After, ByRow, Kernels, NarrowProduct, Product};
+use crate::kernels::{After, ByRow, Gathered, Kernels, NarrowProduct, Product, Within};
 use crate::layout::{Layer, Layout};
 
 /// Scratch memory for networks of one layout and batches up to a fixed number of rows.
 ///
 /// All of it is allocated on construction; no function of this crate that takes a workspace allocates. Its
-/// size is `max_rows` times (input + all hidden widths + four times the widest of them) plus at most twice
-/// the largest weight matrix, in `f32`.
+/// size is `max_rows` times (input + all hidden widths + four times the widest of them, and all numbers under the kernels of a
+/// convolution that is not the first layer) plus at most twice the largest weight matrix, in `f32`.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     pub(crate) kernels: Kernels,
@@ -23,6 +23,10 @@ pub struct Workspace {
     hidden: [AlignedBuffer; 2],
     /// Gradients of hidden layers in turns.
     pub(crate) delta: [AlignedBuffer; 2],
+    /// Where the numbers under the kernels lie, for each convolution.
+    pub(crate) convs: Vec<Places>,
+    /// Gradient of the numbers under the kernel, at each position of each row.
+    pub(crate) patches: AlignedBuffer,
     /// A layer's weights, transposed.
     pub(crate) weights_t: AlignedBuffer,
     /// Gradient of the output layer's weights, transposed.
@@ -31,6 +35,26 @@ pub struct Workspace {
     pub(crate) rows: Vec<u32>,
     pub(crate) actions: Vec<u32>,
     pub(crate) dq: Vec<f32>,
+}
+
+/// Where the numbers under the kernel of a convolution lie in all rows of its input.
+#[derive(Clone, Debug)]
+pub(crate) struct Places {
+    /// For each position of each row the first of them.
+    pub(crate) bases: Vec<u32>,
+    /// How far the others lie from it.
+    pub(crate) offsets: Vec<u32>,
+    /// Those of the bases whose rows count in the backward pass.
+    pub(crate) picked: Vec<u32>,
+}
+
+impl Places {
+    fn new(layer: &Layer, max_rows: usize) -> Option<Places> {
+        let (conv, width) = (layer.conv?, layer.width_in());
+        let bases = (0..max_rows).flat_map(|row| conv.bases().map(move |base| (row * width + base) as u32));
+        let picked = Vec::with_capacity(max_rows * layer.positions());
+        Some(Places { bases: bases.collect(), offsets: conv.offsets().map(|at| at as u32).collect(), picked })
+    }
 }
 
 impl Workspace {
@@ -45,21 +69,25 @@ impl Workspace {
     /// Scratch memory for batches of up to `max_rows` rows, on a given instruction set.
     ///
     /// # Panics
-    /// If `max_rows` is 0 or above `u32::MAX`.
+    /// If `max_rows` is 0, or its inputs have more than `u32::MAX` numbers.
     pub fn with_kernels(layout: &Layout, max_rows: usize, kernels: Kernels) -> Workspace {
-        assert!(max_rows > 0 && u32::try_from(max_rows).is_ok(), "max_rows is {max_rows}");
+        let widest = layout.sizes().iter().copied().max().unwrap_or(1);
+        assert!(max_rows > 0 && u32::try_from(max_rows * widest).is_ok(), "max_rows is {max_rows}");
         let rows_of = |width: usize| AlignedBuffer::new(max_rows * width);
         let hidden = layout.max_hidden();
         let weights = |layer: &Layer| layer.weights().len();
+        let patches = |layer: &Layer| layer.conv.map_or(0, |_| layer.positions() * layer.inputs);
         let layers = layout.layers();
         Workspace {
             kernels,
             layout: layout.clone(),
             max_rows,
-            inputs: layers.iter().map(|layer| rows_of(layer.inputs)).collect(),
+            inputs: layers.iter().map(|layer| rows_of(layer.width_in())).collect(),
             trained_rows: 0,
             hidden: [rows_of(hidden), rows_of(hidden)],
             delta: [rows_of(hidden), rows_of(hidden)],
+            convs: layers.iter().map_while(|layer| Places::new(layer, max_rows)).collect(),
+            patches: rows_of(layers[1..].iter().map(patches).max().unwrap_or(0)),
             weights_t: AlignedBuffer::new(layers[1..].iter().map(weights).max().unwrap_or(0)),
             grad_t: AlignedBuffer::new(layers.last().map_or(0, weights)),
             rows: Vec::with_capacity(max_rows),
@@ -80,7 +108,7 @@ impl Workspace {
 
     /// Panics unless the arguments of a forward pass fit together.
     fn check(&self, layout: &Layout, params: &[f32], x: &[f32], rows: usize, out: &[f32]) {
-        assert_eq!(self.layout.sizes(), layout.sizes(), "the workspace belongs to another layout");
+        assert!(self.layout == *layout, "the workspace belongs to another layout");
         assert_eq!(params.len(), layout.n_params(), "number of parameters");
         assert!(rows > 0 && rows <= self.max_rows, "{rows} rows in a workspace for {}", self.max_rows);
         assert_eq!(x.len(), rows * layout.input(), "length of the input");
@@ -101,9 +129,9 @@ pub fn forward(layout: &Layout, params: &[f32], x: &[f32], rows: usize, ws: &mut
     let [from, to] = &mut ws.hidden;
     let (mut from, mut to) = (from, to);
     for (l, layer) in layout.layers().iter().enumerate() {
-        let input = if l == 0 { x } else { &from[..rows * layer.inputs] };
+        let input = if l == 0 { x } else { &from[..rows * layer.width_in()] };
         let output = if l == last { &mut *out } else { &mut to[..] };
-        dense(ws.kernels, layer, params, input, rows, l < last, output);
+        apply(ws.kernels, layer, ws.convs.get(l), params, input, rows, l < last, output);
         std::mem::swap(&mut from, &mut to);
     }
 }
@@ -127,14 +155,17 @@ pub fn forward_train(
     for (l, layer) in layout.layers().iter().enumerate() {
         let (done, ahead) = ws.inputs.split_at_mut(l + 1);
         let output = if l == last { &mut *out } else { &mut ahead[0][..] };
-        dense(ws.kernels, layer, params, &done[l][..rows * layer.inputs], rows, l < last, output);
+        let input = &done[l][..rows * layer.width_in()];
+        apply(ws.kernels, layer, ws.convs.get(l), params, input, rows, l < last, output);
     }
 }
 
-/// One dense layer on `rows` rows.
-fn dense(
+/// One layer on `rows` rows; a convolution at its `places`.
+#[allow(clippy::too_many_arguments)]
+fn apply(
     kernels: Kernels,
     layer: &Layer,
+    places: Option<&Places>,
     params: &[f32],
     input: &[f32],
     rows: usize,
@@ -151,16 +182,20 @@ fn dense(
             out: output,
         });
     }
-    kernels.run(Product {
-        rows,
-        inner: layer.inputs,
-        columns: layer.outputs,
-        left: ByRow(input),
-        right: &params[layer.weights()],
-        bias: Some(&params[layer.bias()]),
-        after: if relu { After::Relu } else { After::Keep },
-        out: output,
-    });
+    let (right, bias) = (&params[layer.weights()], Some(&params[layer.bias()]));
+    let after = if relu { After::Relu } else { After::Keep };
+    let (inner, columns, out) = (layer.inputs, layer.outputs, output);
+    let within = Within::all(columns);
+    match places {
+        None => {
+            kernels.run(Product { rows, inner, columns, left: ByRow(input), right, bias, after, out, within })
+        }
+        Some(places) => {
+            let rows = rows * layer.positions();
+            let left = Gathered { x: input, rows: &places.bases[..rows], inner: &places.offsets };
+            kernels.run(Product { rows, inner, columns, left, right, bias, after, out, within });
+        }
+    }
 }
 
 /// Index of the largest number; of equal ones the lowest index. NaN counts as smaller than everything, and a
@@ -186,21 +221,28 @@ mod tests {
     use super::*;
     use crate::kernels::{Isa, by_definition};
     use crate::layout::init;
+    use crate::layout::testing::{layouts, places};
 
     /// A forward pass of one row, element by element.
     fn naive(layout: &Layout, params: &[f32], x: &[f32]) -> Vec<f32> {
         let mut x = x.to_vec();
         for (l, layer) in layout.layers().iter().enumerate() {
             let (w, b) = (&params[layer.weights()], &params[layer.bias()]);
-            let unit = |j: usize| {
+            let (bases, offsets) = places(layer);
+            let unit = |base: usize, j: usize| {
                 if l + 1 == layout.layers().len() && layer.outputs <= NarrowProduct::COLUMNS {
                     let column: Vec<f32> = w.iter().skip(j).step_by(layer.outputs).copied().collect();
                     return by_definition(&x, &column, b[j], layer.outputs);
                 }
-                let sum = (0..layer.inputs).fold(b[j], |sum, i| x[i].mul_add(w[i * layer.outputs + j], sum));
+                let x = |i: usize| x[base + offsets[i]];
+                let sum = (0..layer.inputs).fold(b[j], |sum, i| x(i).mul_add(w[i * layer.outputs + j], sum));
                 if l + 1 < layout.layers().len() { sum.max(0.0) } else { sum }
             };
-            x = (0..layer.outputs).map(unit).collect();
+            x = bases
+                .iter()
+                .flat_map(|&base| (0..layer.outputs).map(move |j| (base, j)))
+                .map(|(base, j)| unit(base, j))
+                .collect();
         }
         x
     }
@@ -208,9 +250,8 @@ mod tests {
     proptest! {
         #[test]
         fn both_passes_equal_naive_on_every_instruction_set(
-            sizes in prop::collection::vec(1usize..90, 2..6), rows in 1usize..15, seed: u64,
+            layout in layouts(90), rows in 1usize..15, seed: u64,
         ) {
-            let layout = Layout::new(&sizes).unwrap();
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let params = init(&layout, &mut rng);
             let x: Vec<f32> = (0..rows * layout.input()).map(|_| rng.random_range(-2.0..2.0)).collect();

@@ -1,4 +1,5 @@
-//! Ten gradient steps of DQN against values that PyTorch computed; see `tests/golden/dqn_step.py`.
+//! Ten gradient steps of DQN against values that PyTorch computed; see `tests/golden/dqn_step.py` and, for convolutions,
+//! `tests/golden/conv_step.py`.
 //!
 //! Not a hundred steps: under Adam the direction of a tiny gradient decides as much as that of a large one,
 //! and differences of one rounding error grow.
@@ -6,8 +7,8 @@
 
 use serde_json::Value;
 use trestle_qnet::{
-    Adam, AdamConfig, Isa, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, autodiff, backward,
-    clip_grad_norm, forward, forward_train,
+    Adam, AdamConfig, Encoding, Grid, Isa, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax,
+    autodiff, backward, clip_grad_norm, forward, forward_train,
 };
 
 const GOLDEN: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/dqn_step.json"));
@@ -146,5 +147,93 @@ fn dqn_steps_equal_those_of_pytorch() {
             check(case, &golden, Kernels::new(isa).unwrap(), false);
         }
         check(case, &golden, Kernels::detect(), true);
+    }
+}
+
+const CONV: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/conv_step.json"));
+
+fn whole(value: &Value) -> Vec<usize> {
+    value.as_array().unwrap().iter().map(|x| x.as_u64().unwrap() as usize).collect()
+}
+
+fn conv_layout(case: &Value) -> Layout {
+    let [height, width, channels] = whole(&case["grid"])[..] else { panic!("{}", case["grid"]) };
+    let grid = Grid { height, width, channels, channels_first: case["channels_first"].as_bool().unwrap() };
+    let convs = case["conv"].as_array().unwrap().iter().map(whole);
+    let convs: Vec<_> = convs.map(|conv| (conv[0], conv[1], conv[2])).collect();
+    Layout::with_conv(grid, &convs, &whole(&case["dense"])).unwrap()
+}
+
+/// Runs one case with convolutions; without kernels, candle takes the gradients.
+fn check_conv(case: &Value, golden: &Value, kernels: Option<Kernels>) {
+    let layout = conv_layout(case);
+    let rows = golden["rows"].as_u64().unwrap() as usize;
+    let config = AdamConfig { lr: golden["lr"].as_f64().unwrap(), ..AdamConfig::default() };
+    let (loss, scale) = (Loss::Huber { delta: 1.0 }, 1.0 / rows as f32);
+    let name = format!("{} on {:?}", case["name"], kernels.map(Kernels::isa));
+    let encoding = Encoding::Scale { low: vec![0.0; layout.input()], high: vec![255.0; layout.input()] };
+
+    let params = floats(&case["params"]);
+    let mut network = QNetwork::new(layout.clone(), &params).unwrap();
+    let own = kernels.unwrap_or_default();
+    let mut ws = Workspace::with_kernels(&layout, rows, own);
+    let mut adam = Adam::new(layout.n_params());
+    let (mut grad, mut q) = (vec![0.0; layout.n_params()], vec![0.0; rows * layout.output()]);
+    let mut losses = Vec::new();
+    for (step, batch) in case["batches"].as_array().unwrap().iter().enumerate() {
+        let bytes = floats(&batch["x"]);
+        let mut x = vec![0.0; bytes.len()];
+        encoding.encode_batch(&bytes, rows, &mut x);
+        let actions: Vec<u32> = whole(&batch["action"]).into_iter().map(|action| action as u32).collect();
+        let targets = floats(&batch["target"]);
+        let weights = vec![1.0; rows];
+        if kernels.is_none() {
+            let samples =
+                autodiff::Samples { x: &x, actions: &actions, targets: &targets, weights: &weights, scale };
+            let (total, gradient) =
+                autodiff::loss_and_gradient(&layout, network.online(), &samples, loss).unwrap();
+            losses.push(total);
+            grad = gradient;
+        }
+        network
+            .update(|params| {
+                if kernels.is_some() {
+                    forward_train(&layout, params, &x, rows, &mut ws, &mut q);
+                    let chosen: Vec<f32> =
+                        (0..rows).map(|r| q[r * layout.output() + actions[r] as usize]).collect();
+                    if step == 0 {
+                        assert_close(&chosen, &floats(&case["q"]), 1e-5, &name);
+                    }
+                    losses.push((0..rows).map(|r| scale * loss.value(chosen[r], targets[r])).sum());
+                    let term = |r: usize| {
+                        let dq = scale * loss.derivative(chosen[r], targets[r]);
+                        RowGrad { row: r as u32, action: actions[r], dq }
+                    };
+                    let terms: Vec<RowGrad> = (0..rows).map(term).collect();
+                    backward(&layout, params, &mut ws, &terms, &mut grad);
+                }
+                adam.step(&config, own, params, &grad);
+            })
+            .unwrap();
+        let params = network.online().to_vec1::<f32>().unwrap();
+        match step + 1 {
+            1 => assert_close(&params, &floats(&case["params_after_1"]), 1e-6, &name),
+            10 => assert_close(&params, &floats(&case["params_after_10"]), 1e-4, &name),
+            _ => {}
+        }
+    }
+    assert_close(&losses, &floats(&case["losses"]), 1e-4, &name);
+}
+
+#[test]
+fn steps_with_convolutions_equal_those_of_pytorch() {
+    let golden: Value = serde_json::from_str(CONV).unwrap();
+    let cases = golden["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 3);
+    for case in cases {
+        for isa in Isa::available() {
+            check_conv(case, &golden, Some(Kernels::new(isa).unwrap()));
+        }
+        check_conv(case, &golden, None);
     }
 }

@@ -26,8 +26,11 @@ fn pieces(layout: &Layout, prefix: &str) -> Vec<Piece> {
     let layers = layout.layers().iter().enumerate();
     layers
         .flat_map(|(l, layer)| {
-            let weight =
-                (format!("{prefix}layers.{l}.weight"), vec![layer.inputs, layer.outputs], layer.weights());
+            let shape = match layer.conv {
+                None => vec![layer.inputs, layer.outputs],
+                Some(conv) => vec![conv.kernel, conv.kernel, conv.grid.channels, layer.outputs],
+            };
+            let weight = (format!("{prefix}layers.{l}.weight"), shape, layer.weights());
             [weight, (format!("{prefix}layers.{l}.bias"), vec![layer.outputs], layer.bias())]
         })
         .collect()

@@ -14,6 +14,7 @@
 //! instruction set that the machine was found to have.
 
 mod elementwise;
+mod fold;
 mod narrow;
 mod output_layer;
 pub mod peak;
@@ -25,11 +26,12 @@ mod vector;
 mod x86;
 
 pub(crate) use elementwise::{AdamStep, Blend, Scale};
+pub(crate) use fold::Fold;
 pub(crate) use narrow::NarrowProduct;
 #[cfg(test)]
 pub(crate) use narrow::by_definition;
 pub(crate) use output_layer::OutputLayer;
-pub(crate) use product::{After, ByColumn, ByRow, Product};
+pub(crate) use product::{After, ByColumn, ByRow, Gathered, Left, Product, Within};
 pub(crate) use reduce::{ColumnSums, SumOfSquares};
 pub(crate) use transpose::Transpose;
 pub(crate) use vector::Op;

@@ -38,6 +38,50 @@ pub(crate) struct ByColumn<'a> {
     pub(crate) picked: &'a [u32],
 }
 
+/// A left factor that is gathered: the number at row `r` and inner index `i` is `x[rows[r] + inner[i]]`.
+#[derive(Clone, Copy)]
+pub(crate) struct Gathered<'a> {
+    /// Where the numbers lie.
+    pub(crate) x: &'a [f32],
+    /// Where each row begins.
+    pub(crate) rows: &'a [u32],
+    /// How far each inner index lies from there.
+    pub(crate) inner: &'a [u32],
+}
+
+/// Rows of a [`Gathered`], each as far as its last number, and the inner indices.
+struct GatheredTile<'a, const R: usize>([&'a [f32]; R], &'a [u32]);
+
+impl Left for Gathered<'_> {
+    #[inline(always)]
+    fn tile<const R: usize>(&self, first: usize, inner: usize) -> impl LeftTile<R> {
+        // All slices have one length, so one comparison a step serves them all.
+        let length =
+            self.x.len() - self.rows[first..first + R].iter().fold(0, |most, &row| most.max(row)) as usize;
+        let mut rows: [&[f32]; R] = [&[]; R];
+        for (r, row) in rows.iter_mut().enumerate() {
+            *row = &self.x[self.rows[first + r] as usize..][..length];
+        }
+        GatheredTile(rows, &self.inner[..inner])
+    }
+
+    fn covers(&self, rows: usize, inner: usize) -> bool {
+        self.rows.len() >= rows && self.inner.len() >= inner
+    }
+}
+
+impl<const R: usize> LeftTile<R> for GatheredTile<'_, R> {
+    #[inline(always)]
+    fn at(&self, i: usize) -> [f32; R] {
+        let at = self.1[i] as usize;
+        let mut numbers = [0.0; R];
+        for r in 0..R {
+            numbers[r] = self.0[r][at];
+        }
+        numbers
+    }
+}
+
 impl Left for ByRow<'_> {
     #[inline(always)]
     fn tile<const R: usize>(&self, first: usize, inner: usize) -> impl LeftTile<R> {
@@ -96,8 +140,8 @@ pub(crate) enum After<'a> {
     Keep,
     /// ReLU.
     Relu,
-    /// The derivative of ReLU: 0 where the activation of the same column, in row `picked[r]` of `activations`
-    /// (which is as wide as the product), is not positive.
+    /// The derivative of ReLU: 0 where the activation at the same place of row `picked[r]` of `activations`
+    /// (whose rows are as long as those of `out`) is not positive.
     Gate {
         /// Outputs of a ReLU layer.
         activations: &'a [f32],
@@ -122,8 +166,26 @@ pub(crate) struct Product<'a, L: Left> {
     pub(crate) bias: Option<&'a [f32]>,
     /// Applied to a finished sum.
     pub(crate) after: After<'a>,
-    /// Result, `[rows][columns]`; overwritten.
+    /// Result, `[rows][columns]` or those columns of it that [`Product::within`] says; overwritten.
     pub(crate) out: &'a mut [f32],
+    /// Length of the rows of `out` and of activations, and the first column of the product in them.
+    pub(crate) within: Within,
+}
+
+/// Where the columns of a product lie in longer rows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Within {
+    /// Length of the rows.
+    pub(crate) pitch: usize,
+    /// Their first column.
+    pub(crate) first: usize,
+}
+
+impl Within {
+    /// Rows that have `columns` columns and no others.
+    pub(crate) fn all(columns: usize) -> Within {
+        Within { pitch: columns, first: 0 }
+    }
 }
 
 impl<L: Left> Op for Product<'_, L> {
@@ -133,7 +195,9 @@ impl<L: Left> Op for Product<'_, L> {
     fn run<S: Vector>(mut self) {
         let Product { rows, inner, columns, .. } = self;
         assert!(self.left.covers(rows, inner), "the left factor is too small");
-        assert!(self.right.len() >= inner * columns && self.out.len() >= rows * columns);
+        let Within { pitch, first } = self.within;
+        assert!(self.right.len() >= inner * columns && self.out.len() >= rows * pitch);
+        assert!(first + columns <= pitch);
         let mut column = 0;
         while columns - column >= S::LANES {
             let free = (columns - column) / S::LANES;
@@ -243,14 +307,14 @@ impl<L: Left> Product<'_, L> {
                     }
                 }
                 After::Gate { activations, picked } => {
-                    let at = picked[row + r] as usize * self.columns + column;
+                    let at = picked[row + r] as usize * self.within.pitch + self.within.first + column;
                     let activation = registers::<S, V, PARTIAL>(&activations[at..][..width]);
                     for v in 0..V {
                         finished[v] = finished[v].gate(activation[v]);
                     }
                 }
             }
-            let out = &mut self.out[(row + r) * self.columns + column..][..width];
+            let out = &mut self.out[(row + r) * self.within.pitch + self.within.first + column..][..width];
             if PARTIAL {
                 finished[0].store_partial(out);
             } else {
@@ -324,6 +388,26 @@ mod tests {
                 Kernels::new(isa).unwrap().run(Product {
                     rows, inner, columns,
                     left: ByRow(&x), right: &w, bias: Some(&bias), after: After::Relu, out: &mut out,
+                    within: Within::all(columns),
+                });
+                prop_assert_eq!(&out, &expected, "{}", isa);
+            }
+        }
+
+        #[test]
+        fn gathered_numbers_equal_naive_bit_by_bit(
+            rows in prop::collection::vec(0u32..50, 1..24), inner in prop::collection::vec(0u32..50, 1..24),
+            columns in 1usize..80, seed: u32,
+        ) {
+            let (x, right) = (numbers(seed, 100), numbers(!seed, inner.len() * columns));
+            let left = |r: usize, i: usize| x[(rows[r] + inner[i]) as usize];
+            let expected = naive((rows.len(), inner.len(), columns), left, &right, None, |_, _, y| y);
+            for isa in Isa::available() {
+                let mut out = vec![f32::NAN; rows.len() * columns];
+                Kernels::new(isa).unwrap().run(Product {
+                    rows: rows.len(), inner: inner.len(), columns,
+                    left: Gathered { x: &x, rows: &rows, inner: &inner }, right: &right, bias: None,
+                    after: After::Keep, out: &mut out, within: Within::all(columns),
                 });
                 prop_assert_eq!(&out, &expected, "{}", isa);
             }
@@ -350,9 +434,23 @@ mod tests {
                     left: ByColumn { x: &x, width: rows, picked: &picked },
                     right: &right, bias: None,
                     after: After::Gate { activations: &activations, picked: &gated },
-                    out: &mut out,
+                    out: &mut out, within: Within::all(columns),
                 });
                 prop_assert_eq!(&out, &expected, "{}", isa);
+                // The same in two halves.
+                let mut halves = vec![f32::NAN; rows * columns];
+                for (first, end) in [(0, columns / 2), (columns / 2, columns)] {
+                    let of_row = |row: &[f32]| row[first..end].to_vec();
+                    let right: Vec<f32> = right.chunks(columns).flat_map(of_row).collect();
+                    Kernels::new(isa).unwrap().run(Product {
+                        rows, inner, columns: end - first,
+                        left: ByColumn { x: &x, width: rows, picked: &picked },
+                        right: &right, bias: None,
+                        after: After::Gate { activations: &activations, picked: &gated },
+                        out: &mut halves, within: Within { pitch: columns, first },
+                    });
+                }
+                prop_assert_eq!(&halves, &expected, "{}", isa);
             }
         }
     }
