@@ -24,8 +24,20 @@ const ARMS: [(&str, &[&str]); 7] = [
         ],
     ),
     ("dqn+d-shape", &["--algo", "dqn", "--set", "rival.kind=d-shape", "--set", "learner.n_step=3"]),
-    ("dqn+gaifo", &["--algo", "dqn", "--set", "rival.kind=gaifo", "--set", "learner.n_step=2"]),
-    ("trestle+gaifo", &["--algo", "trestle", "--set", "rival.kind=gaifo"]),
+    (
+        "dqn+gaifo",
+        &[
+            "--algo",
+            "dqn",
+            "--set",
+            "rival.kind=gaifo",
+            "--set",
+            "rival.gaifo.batch=16",
+            "--set",
+            "learner.n_step=2",
+        ],
+    ),
+    ("trestle+gaifo", &["--algo", "trestle", "--set", "rival.kind=gaifo", "--set", "rival.gaifo.batch=16"]),
 ];
 
 /// The replay goes round, and several episodes end in either half.

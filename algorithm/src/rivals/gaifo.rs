@@ -282,7 +282,7 @@ mod tests {
         let start = gaifo.state().clone();
         gaifo.differentiate(&replay).unwrap();
         let grad = gaifo.grad.to_vec();
-        for at in 0..grad.len() {
+        for (at, &grad) in grad.iter().enumerate() {
             let mut at_offset = |by: f32| {
                 assert!(gaifo.restore(&start));
                 gaifo.state.params[at] += by;
@@ -291,7 +291,7 @@ mod tests {
             let by = 1e-2;
             let slope = (at_offset(by) - at_offset(-by)) / f64::from(2.0 * by);
             // Kinks of the rectifier lie within a step now and then.
-            assert!((slope - f64::from(grad[at])).abs() < 2e-2, "{at}: {slope} {}", grad[at]);
+            assert!((slope - f64::from(grad)).abs() < 2e-2, "{at}: {slope} {grad}");
         }
     }
 }

@@ -61,7 +61,7 @@ pub enum RivalState {
     /// Labels and their model.
     Labels(Box<LabelsState>),
     /// Drawn goals.
-    DShape(DShapeState),
+    DShape(Box<DShapeState>),
     /// A discriminator.
     Gaifo(Box<GaifoState>),
 }
@@ -182,7 +182,7 @@ impl Rival {
             Self::Shaping(_) => RivalState::None,
             Self::Transport(transport) => RivalState::Added(transport.added().to_vec()),
             Self::Labels(labels) => RivalState::Labels(Box::new(labels.state())),
-            Self::DShape(dshape) => RivalState::DShape(dshape.state().clone()),
+            Self::DShape(dshape) => RivalState::DShape(Box::new(dshape.state().clone())),
             Self::Gaifo(gaifo) => RivalState::Gaifo(Box::new(gaifo.state().clone())),
         }
     }
