@@ -14,6 +14,7 @@ use trestle_actor::env::registry;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
+use trestle_proto::config::RivalKind;
 use trestle_proto::reply::EvaluationEpisode;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::Layout;
@@ -94,7 +95,9 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     if let Some(threshold) = figures.threshold {
         outln!("  threshold     {threshold:.3}");
     }
-    if let Some(episode) = episodes.first().filter(|episode| !episode.path.is_empty())
+    // With D-Shape every other state of a path is a goal.
+    let aims = experiment.config.rival.kind == RivalKind::DShape;
+    if let Some(episode) = episodes.first().filter(|episode| !episode.path.is_empty() && !aims)
         && let Some(drawn) = registry().draw(&experiment.config.env, &[(&episode.path, 'o')])?
     {
         outln!("{drawn}");

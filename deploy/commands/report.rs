@@ -10,6 +10,7 @@ use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_mentor_server::demo_file;
 use trestle_proto::NONE;
+use trestle_proto::config::RivalKind;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rundir::RunDir;
@@ -105,10 +106,12 @@ fn middle<'a>(group: &Group<'a>) -> Option<&'a Run> {
     runs.get(runs.len().saturating_sub(1) / 2).copied()
 }
 
-/// `run` on its map, from its newest checkpoint; none where its environment has no map.
+/// `run` on its map, from its newest checkpoint; none where its environment has no map, or where the network sees a goal beside the
+/// state, so that a place alone has no value.
 fn maze(run: &Run) -> Result<Option<Maze>> {
     let dir = RunDir::new(&run.path);
-    let Some(ground) = registry().ground(&run.config.env)? else { return Ok(None) };
+    let aims = run.config.rival.kind == RivalKind::DShape;
+    let Some(ground) = registry().ground(&run.config.env)?.filter(|_| !aims) else { return Ok(None) };
     let ground = ground.as_ref();
     let experiment = dir.read_plan()?.experiment;
     let (_, path) = checkpoint::newest_complete(dir.root())?.context("it has no complete checkpoint")?;
