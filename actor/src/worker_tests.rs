@@ -99,7 +99,7 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
     let weights = Acting::of_weights(always(&experiment, 0));
     assert!(worker.collect(&weights, &order(2, 7), &mut Batch::default()).is_err());
     let explored = guided_batches(&mut worker, &acting([NONE; 5]), 2, 30, 7);
-    let actions: Vec<u32> = explored.iter().flat_map(|batch| actions(batch)).collect();
+    let actions: Vec<u32> = explored.iter().flat_map(actions).collect();
     let east = actions.iter().sum::<u32>();
     assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
     // Evaluations need the parameters alone.
@@ -112,7 +112,7 @@ fn a_share_of_the_exploring_steps_is_guided() {
     let mut worker = Worker::new(&experiment, 0).unwrap();
     let acting = Acting { known: vec![1; 5], ..Acting::of_weights(always(&experiment, 0)) };
     let actions: Vec<u32> =
-        guided_batches(&mut worker, &acting, 1, 100, 10).iter().flat_map(|batch| actions(batch)).collect();
+        guided_batches(&mut worker, &acting, 1, 100, 10).iter().flat_map(actions).collect();
     // Half guided, of the others half by chance.
     let east = actions.iter().sum::<u32>();
     assert!((690..810).contains(&east), "{east} of 1000");
