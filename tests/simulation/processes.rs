@@ -129,7 +129,13 @@ fn try_user(world: &Arc<World>, scene: Scene, config: usize, io: bool) -> Result
                 Some(Mail::Another) => _ = command(world, scene, config, true),
                 Some(Mail::Ended { role: Role::Supervisor, end, words }) => {
                     if end == End::Exited(1) {
-                        let known = ["a run is in progress there", "exists by now", "is complete with"];
+                        // Of two commands at once one is too late.
+                        let known = [
+                            "a run is in progress there",
+                            "exists by now",
+                            "exists; accepted",
+                            "is complete with",
+                        ];
                         if !io && !known.iter().any(|known| words.contains(known)) {
                             bail!("a command is refused: {words}");
                         }

@@ -5,7 +5,7 @@
 #   tests/slurm/run.sh [--time-limit] [PROGRAM]      PROGRAM: target/debug/trestle unless given
 #
 # With --time-limit the warning comes from a time limit of a minute, which takes some minutes more; otherwise from `scancel`.
-# Needs Debian's slurm-wlm and munge, and root. Everything else is in a directory that goes again.
+# Needs Debian's slurm-wlm and munge, and root. Everything else is in a directory that goes again. Status 77: SLURM does not come up here.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 cd "$here/../.."
@@ -80,6 +80,7 @@ done
 if [[ $(sinfo --noheader --format=%T) != idle ]]; then
     sinfo >&2
     cat "$place"/*.out "$place"/*.log >&2
-    exit 1
+    echo 'SLURM does not come up on this machine' >&2
+    exit 77
 fi
 python3 "$here/sweep.py" $limit "$program" "$place"
