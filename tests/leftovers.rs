@@ -87,7 +87,7 @@ fn a_killed_overwrite_hides_no_run() {
         },
         |best, aside| {
             copy(best, aside);
-            cut(best, 6);
+            cut(best, 7);
         },
     ];
     for state in states {

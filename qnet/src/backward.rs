@@ -283,8 +283,8 @@ mod tests {
                     for j in 0..layer.outputs {
                         let delta = delta[p * layer.outputs + j];
                         grad[layer.bias().start + j] += delta;
-                        for i in 0..layer.inputs {
-                            let (at, from) = (layer.offset + i * layer.outputs + j, base + offsets[i]);
+                        for (i, offset) in offsets.iter().enumerate() {
+                            let (at, from) = (layer.offset + i * layer.outputs + j, base + offset);
                             grad[at] += x[from] * delta;
                             if x[from] > 0.0 {
                                 below[from] += param(at) * delta;

@@ -75,8 +75,8 @@ impl<const R: usize> LeftTile<R> for GatheredTile<'_, R> {
     fn at(&self, i: usize) -> [f32; R] {
         let at = self.1[i] as usize;
         let mut numbers = [0.0; R];
-        for r in 0..R {
-            numbers[r] = self.0[r][at];
+        for (number, row) in numbers.iter_mut().zip(&self.0) {
+            *number = row[at];
         }
         numbers
     }
