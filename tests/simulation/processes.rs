@@ -116,8 +116,12 @@ fn try_user(world: &Arc<World>, scene: Scene, config: usize, io: bool) -> Result
             return wait(world, On::Process(last), None);
         }
         let quiet = world.lock().is_quiet();
-        tries += usize::from(quiet);
+        tries += usize::from(quiet && !alive);
         commands += 1;
+        if alive {
+            // Somebody is at it: there is no hurry.
+            wait(world, On::Time, Some(100 * MS))?;
+        }
         if tries > PATIENCE || commands > MOST {
             bail!("it is never complete; the last command said: {said}");
         }
