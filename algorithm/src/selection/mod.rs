@@ -1,7 +1,7 @@
 //! How much of L_o and of L_m a sample trains with: the weight Φ of L_m.
 //!
 //! A rule is a file of its own. The file has the rule's equation, what the rule remembers from one gradient step to the next,
-//! and the bytes that a checkpoint keeps of that memory. [`TABLE`] lists the rules: configurations, their refusals and the
+//! and the bytes that a checkpoint keeps of that memory. `TABLE` lists the rules: configurations, their refusals and the
 //! documentation read it, and nothing else names a rule.
 
 mod always;
