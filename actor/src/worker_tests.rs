@@ -499,7 +499,7 @@ fn numbers_that_are_not_finite_are_refused_by_name() {
     }
 }
 
-/// An experiment's hazard is one of its run's processes, not of those that look at the run.
+/// An experiment's hazard strikes in the processes of its run. A process that only looks at the run is spared.
 #[test]
 fn a_hazard_strikes_in_the_processes_of_its_run_alone() {
     let with = |during: &str| {

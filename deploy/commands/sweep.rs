@@ -54,7 +54,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     check_machine(&needs.times(together as u64)).with_context(|| format!("{together} runs at once"))?;
     watch::beside(args.beside, &args.out, None)?;
     if args.share.is_some() {
-        // Others may be at it, so what a suite makes is made by whoever begins the sweep.
+        // Several processes may train parts of one sweep. The process that begins the sweep makes a suite's maps and demonstrations.
         ensure!(
             suite.is_none(),
             "--share with {SUITE}; accepted: `--share PART/OF --resume --out DIR` alone"

@@ -374,8 +374,8 @@ fn make(root: &Path, fresh: bool, existing: Existing) -> Result<Fence> {
     Ok(fence)
 }
 
-/// The command lines of a run that goes on: the first one, and the newest of those that followed. None if the file
-/// cannot be read, which is no reason to refuse the run.
+/// The command lines of a run that goes on: the first one, and the newest later ones. None if the file cannot be read, which is
+/// no reason to refuse the run.
 fn former_commands(dir: &RunDir) -> String {
     let Ok(text) = regular_file::read_to_string(&dir.command(), MAX_COMMANDS) else { return String::new() };
     let lines: Vec<&str> = text.lines().collect();

@@ -337,7 +337,7 @@ impl Mentor {
         }
     }
 
-    /// The mentor transition for stored transition `index`, out of those that begin in a state similar to its s.
+    /// Draws the mentor transition for stored transition `index` from all mentor transitions that begin in a state similar to its s.
     fn draw(&mut self, index: u64) -> u32 {
         self.candidates.clear();
         self.candidates.extend(transitions(&self.near.starts, &self.order).map(|(j, _)| j as u32));

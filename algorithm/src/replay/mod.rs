@@ -7,8 +7,8 @@
 //! [`bytes_per_transition`]'s 50 bytes.
 //!
 //! Beside the observer's transition an entry holds the index of the similar mentor transition that was picked for
-//! it. The mentor transition's annotation is *not* copied: it is looked up when the entry is sampled, so that training sees
-//! the newest one (our choice).
+//! it. The mentor transition's annotation is *not* copied. The learner looks the annotation up when it samples the entry, so that
+//! training sees the newest one (our choice).
 //!
 //! Every entry also knows its *successor*, the same actor's next transition of the same episode: see `links`.
 

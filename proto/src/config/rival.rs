@@ -29,7 +29,7 @@ settings! {
 settings! {
     /// `[rival.transport]`, for `rival.kind = "optimal-transport"`.
     pub struct Transport {
-        /// Weight α of what is added to each reward of an episode.
+        /// Weight α of the term that is added to each reward of an episode.
         weight: f64 = 0.03, above(0.0);
         /// What becomes of an episode's costs.
         squash: SquashKind = SquashKind::Linear;
@@ -81,7 +81,7 @@ settings! {
 settings! {
     /// `[rival.gaifo]`, for `rival.kind = "gaifo"`.
     pub struct Gaifo {
-        /// Weight of what is added to each reward.
+        /// Weight of the term that is added to each reward.
         weight: f64 = 0.03, above(0.0);
         /// Which function of the discriminator is added.
         reward: AdversarialKind = AdversarialKind::Mentor;

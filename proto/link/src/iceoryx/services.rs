@@ -290,7 +290,7 @@ impl Services {
     /// Removes the remains of the run's dead processes, so that others can take their places. False: something is left.
     pub fn reap(&self) -> bool {
         let cleaned = self.node.try_cleanup_dead_nodes();
-        // Whoever waits for a dead process learns of it.
+        // A process that waits for a dead one learns of its death.
         if cleaned.cleanups > 0
             && let Err(error) = self.bells.ring_everybody()
         {
