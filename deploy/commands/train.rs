@@ -79,7 +79,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     let existing = match existing {
         Existing::Resume if prepare::nothing_saved(root) => {
             crate::output::say(&format!("{}: nothing had been saved: beginning anew", root.display()));
-            Existing::Overwrite
+            Existing::Unsaved
         }
         existing => existing,
     };
@@ -93,7 +93,7 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     }
     let resolved = match existing {
         Existing::Resume => prepare::resolve_run(root, &config)?,
-        Existing::Keep | Existing::Overwrite => prepare::resolve(config)?,
+        Existing::Keep | Existing::Unsaved | Existing::Overwrite => prepare::resolve(config)?,
     };
     let mode = resolved.config.run.mode;
     if mode != typed {

@@ -7,7 +7,9 @@ use super::fence::Fence;
 use super::ground::map_file;
 use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
-use super::states::{clear_away, clear_unborn, discard, empty, is_unborn, move_aside, remove_temporaries};
+use super::states::{
+    clear_away, clear_unborn, discard, empty, is_unborn, move_aside, nothing_saved, remove_temporaries,
+};
 use crate::build_info::BuildInfo;
 use crate::itself;
 use anyhow::{Context, Result, bail, ensure};
@@ -44,6 +46,8 @@ pub(crate) enum Existing {
     Keep,
     /// Go on from its newest complete checkpoint.
     Resume,
+    /// Begin anew in place of a run that has saved nothing. Refused if something is saved by the time that the directory is locked.
+    Unsaved,
     /// Replace the run in it.
     Overwrite,
 }
@@ -86,6 +90,11 @@ impl Resolved {
             Existing::Keep if occupied => {
                 bail!("{} exists; accepted: another --out, --resume, or --overwrite", root.display())
             }
+            // Another command may have trained there between the caller's look and the lock.
+            Existing::Unsaved if occupied && !nothing_saved(root) => bail!(
+                "{} exists by now: another command has trained in it; accepted: `trestle resume {0}`",
+                root.display()
+            ),
             Existing::Overwrite if occupied && !is_unborn(root) && !is_run(&dir) => bail!(
                 "--overwrite: {} holds something that is not a run (it has no readable plan.bin); remove it yourself",
                 root.display()
@@ -366,7 +375,7 @@ fn make(root: &Path, fresh: bool, existing: Existing) -> Result<Fence> {
         _ => {}
     }
     let fence = Fence::take(root)?;
-    if existing == Existing::Overwrite {
+    if matches!(existing, Existing::Unsaved | Existing::Overwrite) {
         clear_unborn(root)?;
     }
     // Another start may have been quicker, and be over.

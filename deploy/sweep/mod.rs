@@ -315,7 +315,7 @@ async fn attempt(job: &Job, display: &Display) -> Result<Ended> {
 /// Prepares a run: to go on from its newest checkpoint, or anew where there is none.
 pub(crate) fn ready(job: &Job) -> Result<Prepared> {
     let (resolved, way) = if nothing_saved(&job.dir) {
-        (resolve(job.config.clone())?, Existing::Overwrite)
+        (resolve(job.config.clone())?, Existing::Unsaved)
     } else if job.dir.exists() {
         let resolved = existing(job)?;
         match resolved.has_checkpoint(&job.dir)? {

@@ -181,7 +181,7 @@ fn train(world: &Arc<World>, config: usize, resume: bool) -> Result<i32> {
     prepare::recover(&root)?;
     let config = typed(config);
     let existing = match resume {
-        true if prepare::nothing_saved(&root) => Existing::Overwrite,
+        true if prepare::nothing_saved(&root) => Existing::Unsaved,
         true => Existing::Resume,
         false => Existing::Keep,
     };
