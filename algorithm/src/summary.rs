@@ -363,18 +363,12 @@ mod tests {
     #[test]
     fn a_change_of_categories_says_nothing_of_a_step() {
         let spec = EnvSpec {
-            name: "any".into(),
             low: vec![0.0; 2],
             high: vec![20.0; 2],
-            scale: vec![1.0; 2],
             integral: false,
             categories: vec![1],
             velocities: Vec::new(),
-            actions: vec!["a".into(), "b".into()],
-            best_return: None,
-            threshold: None,
-            goal_bonus: 0.0,
-            defines_success: false,
+            ..crate::testing::spec()
         };
         let auto = |states: &[f32], features: Vec<usize>| {
             let mut demo = Demonstration::new(vec!["x".into(), "room".into()]).unwrap();

@@ -18,6 +18,24 @@ use trestle_proto::space::EnvSpec;
 pub(crate) const MENTOR_LEN: usize = 6;
 pub(crate) const N_ACTIONS: u32 = 3;
 
+/// An environment with two features and three actions.
+pub(crate) fn spec() -> EnvSpec {
+    EnvSpec {
+        name: "test".into(),
+        low: vec![-4.0; 2],
+        high: vec![4.0; 2],
+        scale: vec![1.0; 2],
+        integral: true,
+        categories: Vec::new(),
+        velocities: Vec::new(),
+        actions: ["a", "b", "c"].map(String::from).to_vec(),
+        best_return: None,
+        threshold: None,
+        goal_bonus: 0.0,
+        defines_success: true,
+    }
+}
+
 /// An experiment with a small network and two features, `sets` being overrides as a user would type them.
 pub(crate) fn experiment(sets: &[&str]) -> Experiment {
     let small = [
@@ -32,20 +50,7 @@ pub(crate) fn experiment(sets: &[&str]) -> Experiment {
     ];
     let sets: Vec<String> = small.iter().chain(sets).map(ToString::to_string).collect();
     let config: Config = from_table(&(), Table::new(), &sets).unwrap();
-    let spec = EnvSpec {
-        name: "test".into(),
-        low: vec![-4.0; 2],
-        high: vec![4.0; 2],
-        scale: vec![1.0; 2],
-        integral: true,
-        categories: Vec::new(),
-        velocities: Vec::new(),
-        actions: ["a", "b", "c"].map(String::from).to_vec(),
-        best_return: None,
-        threshold: None,
-        goal_bonus: 0.0,
-        defines_success: true,
-    };
+    let spec = spec();
     let part = MentorPart { name: "mentor".into(), transitions: MENTOR_LEN };
     let mentors = if config.run.algo.has_mentor() { vec![part] } else { Vec::new() };
     Experiment { config, spec, mentors, waypoints: None }

@@ -122,18 +122,12 @@ mod tests {
     #[test]
     fn categories_are_given_themselves_and_never_near() {
         let spec = EnvSpec {
-            name: "rooms".into(),
             low: vec![0.0, 2.0],
             high: vec![9.0, 4.0],
             scale: vec![0.5, 1.0],
-            integral: true,
             categories: vec![1],
             velocities: Vec::new(),
-            actions: vec!["a".into(), "b".into()],
-            best_return: None,
-            threshold: None,
-            goal_bonus: 0.0,
-            defines_success: false,
+            ..crate::testing::spec()
         };
         let encoding = Encoding::Scale { low: vec![0.0; 2], high: vec![10.0; 2] };
         let goal = Goal::new(encoding, &[0, 1], &spec.scale).with_categories(&spec, &[10, 3]);
