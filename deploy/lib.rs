@@ -39,6 +39,11 @@ mod submit;
 mod supervise;
 mod sweep;
 
+use trestle_link::iceoryx::SharedMemory;
+
+/// How the processes of this program's runs exchange their messages. No other line of the program names a transport.
+const TRANSPORT: SharedMemory = SharedMemory;
+
 pub use program::{BUILD, Program};
 pub use rand;
 pub use trestle_actor::env;

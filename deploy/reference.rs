@@ -30,7 +30,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let mentor = mentor(prepared)?;
     let display = Display::new(&experiment.config.run, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
-    let mut session = Session::new(plan, dir, transitions, |progress| display.update(progress))?;
+    let mut session = Session::new(plan, dir, transitions, Box::new(|progress| display.update(progress)))?;
     session.start()?;
     prepared.commit()?;
 

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Stdio, exit};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
-use trestle_link::LinkError;
-use trestle_link::iceoryx::{Domain, QueryClient};
+use trestle_link::iceoryx::SharedMemory;
+use trestle_link::{ClientLink, LinkError, Transport};
 use trestle_proto::query::{QueryRequest, STATS};
 use trestle_proto::rundir::RunDir;
 
@@ -42,7 +42,7 @@ fn ask(dir: &RunDir, patience: Duration, leave: impl Fn() -> bool) {
     let mut client = None;
     wait_until(TRIES, || {
         let plan = dir.read_plan().ok();
-        client = plan.and_then(|plan| QueryClient::new(&Domain::of(plan.life.run), &plan).ok());
+        client = plan.and_then(|plan| SharedMemory.client(&plan).ok());
         client.is_some() || leave()
     });
     let Some(client) = client else { return };

@@ -8,7 +8,8 @@ use nix::sys::signal::Signal;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, symlink};
 use std::path::{Path, PathBuf};
-use trestle_link::iceoryx::{Domain, QueryClient};
+use trestle_link::Transport;
+use trestle_link::iceoryx::{Domain, SharedMemory};
 use trestle_proto::rundir::RunDir;
 
 fn args(seed: &str) -> Vec<&str> {
@@ -199,7 +200,7 @@ const STRANGER: &str = "TRESTLE_TEST_STRANGER";
 fn users_do_not_see_each_other() {
     if let Some(dir) = std::env::var_os(STRANGER) {
         let plan = RunDir::new(dir).read_plan().unwrap();
-        println!("refused: {}", QueryClient::new(&Domain::of(plan.life.run), &plan).unwrap_err());
+        println!("refused: {}", SharedMemory.client(&plan).unwrap_err());
         return;
     }
     let place = Place::new();
@@ -254,7 +255,7 @@ fn users_do_not_see_each_other() {
         }
         // Root could; but what it does under its own name is about its own runs.
         let plan = others.read_plan().unwrap();
-        assert!(QueryClient::new(&Domain::of(run), &plan).is_err());
+        assert!(SharedMemory.client(&plan).is_err());
         assert_eq!(Domain::of(run).shared_memory().unwrap(), [] as [PathBuf; 0]);
         Domain::of(run).remove().unwrap();
 

@@ -9,8 +9,8 @@ use crate::util::{
 use nix::sys::signal::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
-use trestle_link::ActorLink;
-use trestle_link::iceoryx::{Domain, IceoryxActor, QueryClient};
+use trestle_link::iceoryx::SharedMemory;
+use trestle_link::{ActorLink, ClientLink, Transport};
 use trestle_proto::batch::{Batch, BatchHeader, Transition};
 use trestle_proto::config::Mode;
 use trestle_proto::query::{QueryRequest, STATS};
@@ -191,7 +191,7 @@ fn a_rogue_peer_is_named_and_shaken_off() {
         run.wait_for("a checkpoint", || newest_checkpoint(&dir) > before);
         let plan = dir.read_plan().unwrap();
         assert_eq!(plan.life.restarts, restarts as u64);
-        let mut rogue = IceoryxActor::new(&Domain::of(plan.life.run), &plan, 0).unwrap();
+        let mut rogue = SharedMemory.actor(&plan, 0).unwrap();
         let mut batch = Batch::default();
         let mut header = BatchHeader { run: plan.life.run, count: 4, obs_dim: 2, ..BatchHeader::default() };
         let mut reward = 0.0;
@@ -227,8 +227,7 @@ fn clients_that_do_not_listen_are_their_own_affair() {
     let dir = place.run("run");
     run.wait_for("an evaluation", || evaluations(&dir) > 0);
     let plan = dir.read_plan().unwrap();
-    let clients: Vec<QueryClient> =
-        (0..4).map(|_| QueryClient::new(&Domain::of(plan.life.run), &plan).unwrap()).collect();
+    let clients: Vec<_> = (0..4).map(|_| SharedMemory.client(&plan).unwrap()).collect();
     let request = QueryRequest { op: STATS, obs_dim: 2, ..QueryRequest::default() };
     for _ in 0..50 {
         for client in &clients {

@@ -8,7 +8,7 @@ use crate::util::{
 use nix::sys::prctl::set_child_subreaper;
 use nix::sys::signal::Signal;
 use std::fs;
-use trestle_link::iceoryx::Liveness;
+use trestle_link::Liveness;
 use trestle_proto::rundir::RunDir;
 
 /// A run that ends only when it is told to, or killed.

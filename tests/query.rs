@@ -5,8 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
-use trestle_link::LinkError;
-use trestle_link::iceoryx::QueryClient;
+use trestle_link::iceoryx::{IceoryxClient, SharedMemory};
+use trestle_link::{ClientLink, LinkError, Transport};
 use trestle_proto::annotation::{AnnotationTable, record_words};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
@@ -19,7 +19,7 @@ const DEADLINE: Duration = Duration::from_secs(10);
 
 /// A client and what it must know to judge the answers.
 struct Asker {
-    client: QueryClient,
+    client: IceoryxClient,
     plan: RunPlan,
     answer: Vec<u32>,
 }
@@ -28,7 +28,7 @@ impl Asker {
     /// A client of the run in `dir`, once it has one to be.
     fn of(dir: &RunDir) -> Option<Self> {
         let plan = dir.read_plan().ok()?;
-        let client = QueryClient::new(&domain(dir), &plan).ok()?;
+        let client = SharedMemory.client(&plan).ok()?;
         Some(Self { client, plan, answer: Vec::new() })
     }
 
@@ -202,7 +202,7 @@ fn a_client_that_comes_too_late_leaves_nothing() {
     let early = Asker::of(&dir).unwrap();
     kill_all(run, &dir);
     assert!(domain(&dir).root().exists());
-    let late = QueryClient::new(&domain(&dir), &early.plan).unwrap_err();
+    let late = SharedMemory.client(&early.plan).unwrap_err();
     assert_eq!(late.to_string(), "joining the run: it is not in progress, or another user's");
     assert_gone(&dir);
     // As if it had been joining while the run was removed.

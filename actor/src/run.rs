@@ -38,7 +38,7 @@ pub enum RunError {
 /// A message that cannot be right, a transport or an environment that fails, or a learner that gives orders but cannot be
 /// reached.
 pub fn run(
-    link: &mut impl ActorLink,
+    link: &mut dyn ActorLink,
     plan: &RunPlan,
     worker: &mut Worker,
     stop: Stop<'_>,
@@ -95,8 +95,8 @@ enum Message {
     Reply(Reply),
 }
 
-struct Serving<'a, L> {
-    link: &'a mut L,
+struct Serving<'a> {
+    link: &'a mut dyn ActorLink,
     worker: &'a mut Worker,
     run: u64,
     rollout: u32,
@@ -117,7 +117,7 @@ struct Serving<'a, L> {
     unreachable: Option<Instant>,
 }
 
-impl<L: ActorLink> Serving<'_, L> {
+impl Serving<'_> {
     /// Goes through the handshake and says which incarnation this is.
     fn announce(&mut self, stop: Stop<'_>) -> Result<(), RunError> {
         match self.link.hello(stop) {
@@ -250,7 +250,7 @@ mod tests {
                 let mut worker = Worker::replacing(&plan.experiment, 0, Incarnation::new(0, 1)).unwrap();
                 run(&mut link, plan, &mut worker, &|| over.load(Ordering::Relaxed)).unwrap();
             });
-            let announced = |learner: &mut local::LocalLearner| match learner
+            let announced = |learner: &mut local::LocalLearner<local::Seat>| match learner
                 .recv(&mut Checked::default(), 1, 100 * WAIT_SLICE)
                 .unwrap()
                 .unwrap()

@@ -16,8 +16,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 use trestle_bench::walk::World;
-use trestle_link::iceoryx::{Domain, HeldDomain, IceoryxLearner, Services};
-use trestle_link::{FromActor, LearnerLink};
+use trestle_link::iceoryx::{self, IceoryxHost, IceoryxLearner};
+use trestle_link::{FromActor, LearnerLink, Transport};
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader, Checked, words};
 use trestle_proto::config;
@@ -225,12 +225,10 @@ impl SharedMemory {
 
     /// With the processes that `peers` start, all of the run's actors and its mentor-server, which need `dir`.
     pub(super) fn new(learner: Learner, peers: Vec<Command>, dir: Scratch) -> Result<Self> {
-        let domain = Domain::create(learner.plan.life.run)?;
-        let mut own = Peers { children: Vec::new(), services: None, domain: None, _dir: dir };
-        let domain = own.domain.insert(domain);
-        own.services = Some(Services::create(domain, &learner.plan)?);
+        let host = iceoryx::SharedMemory.host(&learner.plan)?;
+        let mut own = Peers { children: Vec::new(), _host: Some(host), _dir: dir };
         peers.into_iter().try_for_each(|peer| own.start(peer))?;
-        let mut link = IceoryxLearner::new(&Domain::of(learner.plan.life.run), &learner.plan)?;
+        let mut link = iceoryx::SharedMemory.learner(&learner.plan)?;
         link.welcome(&|| learner.interrupted.load(Ordering::Relaxed))?;
         Ok(Self { link, learner, peers: own })
     }
@@ -286,7 +284,7 @@ impl Sockets {
     fn new(setup: Setup) -> Result<Self> {
         let (plan, dir) = prepared(setup)?;
         let (listener, commands) = (UnixListener::bind(socket(&dir.0))?, setup.peers("socket-", &dir.0)?);
-        let mut peers = Peers { children: Vec::new(), services: None, domain: None, _dir: dir };
+        let mut peers = Peers { children: Vec::new(), _host: None, _dir: dir };
         let mut actors = Vec::new();
         for command in commands {
             peers.start(command)?;
@@ -366,9 +364,7 @@ fn prepared(setup: Setup) -> Result<(RunPlan, Scratch)> {
 /// The processes at the other end, and what they share. Nothing of it remains when this goes.
 pub(super) struct Peers {
     children: Vec<Child>,
-    services: Option<Services>,
-    /// Goes after everything that lives in it.
-    domain: Option<HeldDomain>,
+    _host: Option<IceoryxHost>,
     _dir: Scratch,
 }
 
@@ -408,7 +404,6 @@ impl Peers {
 impl Drop for Peers {
     fn drop(&mut self) {
         self.end();
-        self.services = None;
     }
 }
 

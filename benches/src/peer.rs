@@ -9,8 +9,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use trestle_bench::walk::{Walk, World};
-use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxMentor};
-use trestle_link::{ActorLink, MentorHandler, MentorLink};
+use trestle_link::iceoryx::SharedMemory;
+use trestle_link::{ActorLink, MentorHandler, MentorLink, Transport};
 use trestle_proto::NONE;
 use trestle_proto::acting::{Acting, ActingHeader, Room};
 use trestle_proto::batch::{Batch, BatchHeader};
@@ -31,12 +31,9 @@ pub(super) fn run(args: &[String]) -> Result<()> {
     let benchmark = getppid();
     let stop = move || getppid() != benchmark;
     match role.as_str() {
-        "actor" => {
-            let link = IceoryxActor::new(&Domain::of(plan.life.run), &plan, index)?;
-            act(link, &mut Actor::new(&plan, index), &stop)
-        }
+        "actor" => act(SharedMemory.actor(&plan, index)?, &mut Actor::new(&plan, index), &stop),
         "mentor-server" => {
-            let mut link = IceoryxMentor::new(&Domain::of(plan.life.run), &plan)?;
+            let mut link = SharedMemory.mentor(&plan)?;
             link.hello(&mut Ignorant, &stop)?;
             while !stop() {
                 link.serve(&mut Ignorant, WAIT_SLICE)?;
@@ -92,7 +89,7 @@ impl Actor {
     }
 }
 
-fn act(mut link: IceoryxActor, actor: &mut Actor, stop: &dyn Fn() -> bool) -> Result<()> {
+fn act(mut link: impl ActorLink, actor: &mut Actor, stop: &dyn Fn() -> bool) -> Result<()> {
     link.hello(stop)?;
     let mut sent = 0;
     while !stop() {

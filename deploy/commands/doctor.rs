@@ -1,13 +1,13 @@
 //! `trestle doctor`
 
+use crate::TRANSPORT;
 use crate::cli::Doctor;
 use crate::prepare::{findings, resolve, weaknesses};
 use crate::status::ExitCode;
 use anyhow::{Result, ensure};
-use std::fs;
 use std::path::Path;
 use trestle_actor::env::registry;
-use trestle_link::iceoryx::{Domain, Liveness};
+use trestle_link::{Liveness, Transport};
 use trestle_proto::config;
 
 /// The preset whose needs the machine is asked for.
@@ -15,19 +15,18 @@ const USUAL: &str = "maze30";
 
 /// This user's runs: how many live, and what dead ones have left, which goes if it is to be fixed.
 fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<()> {
-    let all = match Domain::all() {
+    let all = match TRANSPORT.runs() {
         Ok(all) => all,
         Err(error) => return line(false, format!("runs cannot be looked for: {error}")),
     };
-    let living = all.iter().filter(|domain| domain.is_alive()).count();
+    let living = all.iter().filter(|&&run| TRANSPORT.liveness(run) == Liveness::Alive).count();
     line(true, format!("runs in progress: {living}"))?;
-    for domain in &all {
-        let files = domain.shared_memory()?;
-        let bytes: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
-        let what = format!("run {:08x}: {} files, {} KiB", domain.run(), files.len(), bytes >> 10);
-        match domain.liveness() {
+    for run in all {
+        let left = TRANSPORT.remains(run)?;
+        let what = format!("run {run:08x}: {} files, {} KiB", left.files, left.bytes >> 10);
+        match TRANSPORT.liveness(run) {
             Liveness::Dead if fix => {
-                domain.remove()?;
+                TRANSPORT.remove(run)?;
                 line(true, format!("left by dead {what}: removed"))?;
             }
             Liveness::Dead => line(false, format!("left by dead {what}; `trestle doctor --fix` removes it"))?,
@@ -35,8 +34,8 @@ fn runs(fix: bool, line: &mut impl FnMut(bool, String) -> Result<()>) -> Result<
             Liveness::Unknown => line(
                 true,
                 format!(
-                    "left alone, because nothing tells whether it lives: {what}; if it does not, remove /dev/shm/{}*",
-                    domain.prefix()
+                    "left alone, because nothing tells whether it lives: {what}; if it does not, remove {}",
+                    left.names
                 ),
             )?,
             Liveness::Alive | Liveness::Absent => {}

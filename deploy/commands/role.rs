@@ -1,6 +1,7 @@
 //! `trestle actor | learner | mentor-server`: what the supervisor starts, usable by hand in a run directory whose
 //! services a supervisor holds.
 
+use crate::TRANSPORT;
 use crate::cli::{ActorRole, Role};
 use crate::itself;
 use crate::output::say;
@@ -23,9 +24,8 @@ use std::thread;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_learner::record::Progress;
-use trestle_link::LinkError;
-use trestle_link::iceoryx::{Domain, IceoryxActor, IceoryxLearner, IceoryxMentor};
 use trestle_link::log_file::OwnLog;
+use trestle_link::{LinkError, Transport};
 use trestle_link::{logging, pulse};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::Mode;
@@ -37,7 +37,6 @@ use trestle_proto::rundir::RunDir;
 struct Start {
     dir: RunDir,
     plan: RunPlan,
-    domain: Domain,
     stop: Arc<AtomicBool>,
 }
 
@@ -51,17 +50,16 @@ impl Start {
             usual(panic);
             last_words(panic);
         }));
-        let domain = Domain::of(plan.life.run);
         let stop = Arc::new(AtomicBool::new(false));
         if args.watch_stdin {
-            let (domain, stop, log) = (domain.clone(), stop.clone(), OwnLog::at(dir.log(role)));
+            let (run, stop, log) = (plan.life.run, stop.clone(), OwnLog::at(dir.log(role)));
             // A signal that asks this process to leave asks the run: the supervisor decides what becomes of it.
             let asked = Arc::new(AtomicBool::new(false));
             for signal in asking() {
                 signal_hook::flag::register(signal, asked.clone()).context("cannot handle signals")?;
             }
             let line = take_stdin().context("cannot take standard input")?;
-            let watch = move || leave_with_supervisor(line, &domain, &asked, &stop, log.as_ref());
+            let watch = move || leave_with_supervisor(line, run, &asked, &stop, log.as_ref());
             thread::Builder::new().name("watch".into()).spawn(watch)?;
         } else {
             for signal in [SIGTERM, SIGINT] {
@@ -71,7 +69,7 @@ impl Start {
                     .context("cannot handle signals")?;
             }
         }
-        Ok(Self { dir, plan, domain, stop })
+        Ok(Self { dir, plan, stop })
     }
 
     fn stop(&self) -> impl Fn() -> bool + use<> {
@@ -102,7 +100,7 @@ fn last_words(panic: &PanicHookInfo<'_>) {
 /// It also sees to it that this process's log stays within its limit.
 fn leave_with_supervisor(
     line: OwnedFd,
-    domain: &Domain,
+    run: u64,
     asked: &AtomicBool,
     stop: &AtomicBool,
     log: Option<&OwnLog>,
@@ -111,7 +109,7 @@ fn leave_with_supervisor(
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
-    let error = itself::again().arg("orphaned").arg(domain.run().to_string()).exec();
+    let error = itself::again().arg("orphaned").arg(run.to_string()).exec();
     tracing::error!("cannot begin anew: {error}");
     std::process::exit(ORPHANED.into());
 }
@@ -174,7 +172,7 @@ fn beat_until_closed(
 
 /// `trestle orphaned`: the end of a process whose supervisor is gone.
 pub(super) fn orphaned(run: u64) -> Result<ExitCode> {
-    Domain::of(run).remove()?;
+    TRANSPORT.remove(run)?;
     Ok(ExitCode::from(ORPHANED))
 }
 
@@ -188,7 +186,7 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
         let state = states.get(index as usize).context("the checkpoint has no state of this actor")?;
         worker.restore(state)?;
     }
-    let mut link = IceoryxActor::new(&start.domain, &start.plan, index)?;
+    let mut link = TRANSPORT.actor(&start.plan, index)?;
     match trestle_actor::run::run(&mut link, &start.plan, &mut worker, &start.stop()) {
         Ok(()) => Ok(ExitCode::from(TOLD)),
         Err(trestle_actor::run::RunError::Link(error)) => unlinked(error),
@@ -198,13 +196,13 @@ pub(super) fn actor(args: &ActorRole) -> Result<ExitCode> {
 
 pub(super) fn learner(args: &Role) -> Result<ExitCode> {
     let start = Start::new(args, "learner")?;
-    let mut link = IceoryxLearner::new(&start.domain, &start.plan)?;
-    let progress = |progress: &Progress| {
+    let mut link = TRANSPORT.learner(&start.plan)?;
+    let progress = Box::new(|progress: &Progress| {
         // One line of JSON. Nobody may be listening any more.
         if let Ok(line) = serde_json::to_string(progress) {
             let _ = writeln!(stdout().lock(), "{line}");
         }
-    };
+    });
     match trestle_learner::run::run(&mut link, &start.plan, &start.dir, &start.stop(), progress) {
         Ok(_) => Ok(ExitCode::SUCCESS),
         Err(trestle_learner::run::RunError::Link(error)) => unlinked(error),
@@ -215,7 +213,7 @@ pub(super) fn learner(args: &Role) -> Result<ExitCode> {
 pub(super) fn mentor_server(args: &Role) -> Result<ExitCode> {
     let start = Start::new(args, "mentor-server")?;
     let demonstration = demo_file::read(&start.dir.demonstration())?;
-    let mut link = IceoryxMentor::new(&start.domain, &start.plan)?;
+    let mut link = TRANSPORT.mentor(&start.plan)?;
     match trestle_mentor_server::run::run(&mut link, &start.plan.experiment, &demonstration, &start.stop()) {
         Ok(()) => Ok(ExitCode::from(TOLD)),
         Err(trestle_mentor_server::run::RunError::Link(error)) => unlinked(error),

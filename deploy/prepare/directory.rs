@@ -22,7 +22,6 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
-use trestle_link::iceoryx::{Domain, HeldDomain};
 use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
@@ -241,11 +240,6 @@ impl Prepared {
         &self.fence
     }
 
-    /// The place of the run's shared memory.
-    pub(crate) fn create_domain(&self) -> Result<HeldDomain> {
-        Ok(Domain::create(self.plan.life.run)?)
-    }
-
     /// The run has begun to train: what it replaces is of no use any more.
     pub(crate) fn commit(&self) -> Result<()> {
         self.began.set(true);
@@ -426,7 +420,7 @@ fn next_generation(generation: u16) -> Result<u16> {
 }
 
 /// 64 bits that nobody can guess. A run's identity begins the names of its files in a directory where everybody may create
-/// some; that it is no other run's is found out when the domain is made.
+/// some; that it is no other run's is found out when the run gets its place there.
 fn draw() -> Result<u64> {
     let mut word = [0; 8];
     getrandom(&mut word, GetRandomFlags::empty()).context("the system gives no random numbers")?;

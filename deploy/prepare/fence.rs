@@ -4,6 +4,7 @@
 //! it and lets its learner, the only other process that writes there, inherit the open file. So it ends with the last of
 //! the two: a learner that outlives its supervisor, for however short a time, keeps the directory locked.
 
+use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use nix::unistd::dup;
 use std::fs::{self, File, TryLockError};
@@ -12,7 +13,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
-use trestle_link::iceoryx::Domain;
+use trestle_link::{Liveness, Transport};
 use trestle_proto::limits::FENCE_WAIT;
 use trestle_proto::rundir::RunDir;
 
@@ -46,7 +47,9 @@ impl Fence {
                     return Ok(Self(None));
                 }
             }
-            let alive = RunDir::new(root).read_plan().is_ok_and(|plan| Domain::of(plan.life.run).is_alive());
+            let alive = RunDir::new(root)
+                .read_plan()
+                .is_ok_and(|plan| TRANSPORT.liveness(plan.life.run) == Liveness::Alive);
             if alive || start.elapsed() >= FENCE_WAIT {
                 bail!(
                     "{}: a run is in progress there, held by {}; accepted: another --out, or to wait for its end",

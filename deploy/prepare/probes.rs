@@ -3,6 +3,7 @@
 //! Limits that this user may raise are raised. Where a run could not do with what there is, it is refused by the limit's
 //! name, its value and the need, before anything is written. Where it can, with less of a promise, that is said.
 
+use crate::TRANSPORT;
 use anyhow::{Context, Result, bail, ensure};
 use nix::errno::Errno;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
@@ -12,7 +13,7 @@ use std::fs;
 use std::io::Write;
 use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::Path;
-use trestle_link::iceoryx::services::Sizes;
+use trestle_link::Transport;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::own_file::{cannot_link, cannot_sync};
 
@@ -43,18 +44,18 @@ pub(crate) struct Needs {
 impl Needs {
     /// Of a run of `experiment`.
     pub(crate) fn of(experiment: &Experiment) -> Self {
-        let sizes = Sizes::of(experiment);
+        let shared = TRANSPORT.footprint(experiment);
+        let acting = experiment.acting().words() + experiment.own_room().words();
         let actors = u64::from(experiment.config.run.actors);
         // Adam's two moments of each parameter, with a header; a segment of shared memory; iceoryx2's books.
-        let optimizer = 8 * sizes.acting_words() as u64 + (64 << 10);
-        let segment = sizes.largest_segment_bytes();
+        let optimizer = 8 * acting as u64 + (64 << 10);
         Self {
-            shared_memory: sizes.shared_memory_bytes(),
-            inodes: 160 + 40 * actors,
+            shared_memory: shared.memory,
+            inodes: shared.files,
             open_files: 112 + 10 * actors,
             supervisor_files: 64 + 2 * actors,
             tasks: 2 * (actors + 2) + 8,
-            file_bytes: optimizer.max(segment).max((256 << 10) + (96 << 10) * actors),
+            file_bytes: optimizer.max(shared.largest).max((256 << 10) + (96 << 10) * actors),
         }
     }
 

@@ -8,12 +8,13 @@
 //! - *Removed*: `.NAME.removed-PID` is what was on its way out.
 
 use super::fence::try_lock;
+use crate::TRANSPORT;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
-use trestle_link::iceoryx::{Domain, Liveness};
+use trestle_link::{Liveness, Transport};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
     LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
@@ -218,13 +219,13 @@ fn occupied(root: &Path) -> bool {
 /// caller removes only the remains of processes that are known to be dead. A copy of a directory names the run of the original, which may be alive.
 pub(crate) fn clear_away(root: &Path, alone: bool) {
     let Ok(plan) = RunDir::new(root).read_plan() else { return };
-    let domain = Domain::of(plan.life.run);
-    let left = match domain.liveness() {
+    let run = plan.life.run;
+    let left = match TRANSPORT.liveness(run) {
         Liveness::Dead => true,
         Liveness::Unknown => alone,
         Liveness::Alive | Liveness::Absent => false,
     };
-    if left && let Err(error) = domain.remove() {
+    if left && let Err(error) = TRANSPORT.remove(run) {
         tracing::warn!("cannot remove what the run before has left in shared memory: {error}");
     }
 }

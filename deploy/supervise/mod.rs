@@ -1,7 +1,7 @@
-//! One run: services held, children started and reaped, progress shown, everything cleaned up.
+//! One run: what it shares held, children started and reaped, progress shown, everything cleaned up.
 //!
 //! A run is one attempt after the other: when a process dies, the others are stopped, and all are started again from
-//! the newest complete checkpoint, under a new identity and with new services, as if the run were resumed by hand.
+//! the newest complete checkpoint, under a new identity and with nothing shared with the one before, as if the run were resumed by hand.
 //!
 //! - `watch`: what is done about whatever happens, as a table;
 //! - `drive`: the events of that table, and its actions;
@@ -23,6 +23,7 @@ mod signals;
 mod simulation;
 mod watch;
 
+use crate::TRANSPORT;
 use crate::prepare::Prepared;
 use anyhow::{Context, Error, Result, anyhow};
 use children::{Child, Death, Role, log_tail};
@@ -35,7 +36,7 @@ use std::process::ExitStatus;
 use std::time::Instant;
 use tokio::sync::mpsc;
 use trestle_learner::record::{Progress, RunResult};
-use trestle_link::iceoryx::{HeldDomain, Services};
+use trestle_link::{Host, Transport};
 use trestle_proto::limits::GRACE;
 
 /// How a run ended.
@@ -109,15 +110,14 @@ async fn attempt(
     signals: &mut Signals,
     display: &Display,
 ) -> Result<ControlFlow<Ended, Death>> {
-    let domain = prepared.create_domain()?;
-    let services = Services::create(&domain, prepared.plan()).context(
+    let host = TRANSPORT.host(prepared.plan()).context(
         "cannot create the run's services (`trestle doctor` looks at shared memory and open files)",
     )?;
     let (reports, mut inbox) = mpsc::channel(64);
     let mut children = children::start_all(prepared, &reports)?;
-    let mut replacing = Replacing::new(prepared, &services, &reports);
+    let mut replacing = Replacing::new(prepared, &host, &reports);
     let outcome = drive::watch(&mut children, &mut inbox, signals, display, &mut replacing).await;
-    end_all(&mut children, &mut inbox, &domain).await;
+    end_all(&mut children, &mut inbox, &host).await;
     outcome
 }
 
@@ -128,11 +128,11 @@ enum Report {
 }
 
 /// Ends all that still runs: asks it to leave, once the learner has left of itself, or kills it. No child outlives this.
-async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, domain: &HeldDomain) {
+async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, host: &impl Host) {
     let learner_left = children.iter().all(|child| child.role != Role::Learner || !child.running);
     if learner_left {
         children.iter_mut().filter(|child| child.running).for_each(Child::leave);
-    } else if let Err(error) = domain.remove() {
+    } else if let Err(error) = host.remove() {
         // Before they die: if this process is killed, too, while they are dying, nobody is left to remove anything.
         tracing::warn!("{error}");
     }

@@ -10,7 +10,7 @@ use nix::libc::{SIGBUS, SIGKILL};
 use std::os::unix::process::ExitStatusExt;
 use std::time::Instant;
 use tokio::sync::mpsc;
-use trestle_link::iceoryx::Services;
+use trestle_link::Host;
 use trestle_proto::config::Mode;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{HANDSHAKE, RESTART_BACKOFF, SETTLE};
@@ -18,7 +18,7 @@ use trestle_proto::limits::{HANDSHAKE, RESTART_BACKOFF, SETTLE};
 /// What replaces single processes of a run in free mode.
 pub(super) struct Replacing<'a> {
     prepared: &'a mut Prepared,
-    services: &'a Services,
+    host: &'a dyn Host,
     reports: &'a mpsc::Sender<Report>,
     /// The processes that have died, each with its account and how often it has been replaced since the learner was
     /// started last.
@@ -34,11 +34,11 @@ pub(super) struct Replacing<'a> {
 impl<'a> Replacing<'a> {
     pub(super) fn new(
         prepared: &'a mut Prepared,
-        services: &'a Services,
+        host: &'a dyn Host,
         reports: &'a mpsc::Sender<Report>,
     ) -> Self {
         let started = tokio::time::Instant::now();
-        Self { prepared, services, reports, accounts: Vec::new(), due: Vec::new(), started, stuck: None }
+        Self { prepared, host, reports, accounts: Vec::new(), due: Vec::new(), started, stuck: None }
     }
 
     /// Whether the others can go on without the process that has died until there is another.
@@ -121,7 +121,7 @@ impl<'a> Replacing<'a> {
     /// Removes what dead processes left, unless one has been started so shortly before that it might still be making its
     /// place: that could be mistaken for a dead one's. False: something is left.
     pub(super) fn reap(&self) -> bool {
-        self.started.elapsed() >= SETTLE && self.services.reap()
+        self.started.elapsed() >= SETTLE && self.host.reap()
     }
 
     /// Waits until the next replacement is due, for ever if there is none.
@@ -135,7 +135,7 @@ impl<'a> Replacing<'a> {
     /// Starts those whose time has come; returns whether the learner is one of them.
     pub(super) fn start(&mut self, children: &mut [Child]) -> Result<bool> {
         let now = tokio::time::Instant::now();
-        // They need the dead ones' places among the services.
+        // They need the dead ones' places.
         if !self.reap() {
             if now - *self.stuck.get_or_insert(now) > HANDSHAKE {
                 return Err(anyhow!(

@@ -56,11 +56,11 @@ pub enum RunError {
 /// A peer that sends what cannot be right or, in lockstep, is gone; a mentor-server that does not come back; training that
 /// diverges; or a file that cannot be written.
 pub fn run(
-    link: &mut impl LearnerLink,
+    link: &mut dyn LearnerLink,
     plan: &RunPlan,
     dir: &RunDir,
     stop: Stop<'_>,
-    progress: impl FnMut(&Progress),
+    progress: Box<dyn FnMut(&Progress) + '_>,
 ) -> Result<RunResult, RunError> {
     let mentor = welcome(link, plan, stop)?;
     let resumed = match plan.life.resume_tick {
@@ -77,7 +77,7 @@ pub fn run(
 /// Lets the other processes in; in free mode the actors come when they like. Returns the mentor's transitions, if the run
 /// has a mentor.
 fn welcome(
-    link: &mut impl LearnerLink,
+    link: &mut dyn LearnerLink,
     plan: &RunPlan,
     stop: Stop<'_>,
 ) -> Result<Option<MentorTransitions>, RunError> {
@@ -117,8 +117,8 @@ enum Came {
     },
 }
 
-struct Loop<'a, L> {
-    link: &'a mut L,
+struct Loop<'a> {
+    link: &'a mut dyn LearnerLink,
     plan: &'a RunPlan,
     session: Session<'a>,
     /// Lockstep: a round has one batch of each actor, and no process is replaced.
@@ -141,8 +141,8 @@ struct Loop<'a, L> {
     stop: Stop<'a>,
 }
 
-impl<'a, L: LearnerLink> Loop<'a, L> {
-    fn new(link: &'a mut L, plan: &'a RunPlan, resumed: Resumed<'a>, stop: Stop<'a>) -> Self {
+impl<'a> Loop<'a> {
+    fn new(link: &'a mut dyn LearnerLink, plan: &'a RunPlan, resumed: Resumed<'a>, stop: Stop<'a>) -> Self {
         let Resumed { session, behaviour, pending } = resumed;
         let RunPlan { experiment, life } = plan;
         let run = &experiment.config.run;
@@ -651,7 +651,7 @@ fn request(plan: &RunPlan, round: u64, first_index: u64, op: u32, count: usize) 
 }
 
 /// Asks the mentor-server for the mentor's transitions, piece by piece.
-fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
+fn fetch_transitions(link: &mut dyn LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
     let experiment = &plan.experiment;
     let mut transitions = MentorTransitions::new(experiment.spec.obs_dim());
     let mut words = Vec::new();
@@ -676,11 +676,7 @@ fn fetch_transitions(link: &mut impl LearnerLink, plan: &RunPlan) -> Result<Ment
 }
 
 /// Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
-fn rebuild_mentor(
-    link: &mut impl LearnerLink,
-    plan: &RunPlan,
-    session: &Session<'_>,
-) -> Result<(), RunError> {
+fn rebuild_mentor(link: &mut dyn LearnerLink, plan: &RunPlan, session: &Session<'_>) -> Result<(), RunError> {
     let (agent, round) = (session.agent(), session.tick());
     let replay = agent.replay();
     let mut batch = Batch::default();

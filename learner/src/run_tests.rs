@@ -8,7 +8,7 @@ use crate::testing::{World, demonstration};
 use std::sync::mpsc::channel;
 use std::thread;
 use trestle_link::ActorLink;
-use trestle_link::local::{self, LocalActor};
+use trestle_link::local::{self, LocalActor, Seat};
 use trestle_link::{MentorHandler, MentorLink};
 use trestle_proto::NONE;
 use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
@@ -23,7 +23,7 @@ const ROLLOUT: u32 = 4;
 struct Played<'a> {
     plan: &'a RunPlan,
     index: u32,
-    link: LocalActor,
+    link: LocalActor<Seat>,
     world: World,
 }
 
@@ -99,7 +99,7 @@ fn played_with(sets: &[&str], play: impl FnOnce(&mut [Played<'_>]) + Send) -> Re
         let actor = |(index, link)| Played { plan, index, link, world: World::new(&plan.experiment, 1) };
         let mut actors: Vec<_> = (0..).zip(actors).map(actor).collect();
         scope.spawn(move || play(&mut actors));
-        run(&mut learner, plan, &dir, &|| false, |_| {})
+        run(&mut learner, plan, &dir, &|| false, Box::new(|_| {}))
     })
 }
 
@@ -204,7 +204,7 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
     let plan = plan(&["run.algo=dqn", "run.mode=free", "eval.every=1"]);
     let place = tempfile::tempdir().unwrap();
     let dir = RunDir::new(place.path());
-    let mut session = Session::new(&plan, &dir, None, |_| {}).unwrap();
+    let mut session = Session::new(&plan, &dir, None, Box::new(|_| {})).unwrap();
     session.start().unwrap();
     let mut batch = Batch::default();
     for (round, flags) in [(1, TERMINATED), (2, 0), (3, 0)] {
@@ -288,7 +288,7 @@ fn a_run_with_a_mentor_ends_within_what_has_come() {
             let evaluation = awaits_evaluation(&mut actor);
             actor.evaluates(evaluation, 0.0);
         });
-        let result = run(&mut learner, plan, &dir, &|| false, |_| {});
+        let result = run(&mut learner, plan, &dir, &|| false, Box::new(|_| {}));
         drop((learner, over));
         result
     });

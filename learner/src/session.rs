@@ -184,7 +184,7 @@ impl<'a> Session<'a> {
         plan: &'a RunPlan,
         dir: &'a RunDir,
         mentor: Option<MentorTransitions>,
-        progress: impl FnMut(&Progress) + 'a,
+        progress: Box<dyn FnMut(&Progress) + 'a>,
     ) -> Result<Self, SessionError> {
         let RunPlan { experiment, life } = plan;
         let timeline = Timeline::create(experiment, dir, mentor.as_ref());
@@ -212,7 +212,7 @@ impl<'a> Session<'a> {
             stats: TrainStats::default(),
             spent: Spent::default(),
             since: Instant::now(),
-            progress: Box::new(progress),
+            progress,
         })
     }
 
@@ -222,7 +222,7 @@ impl<'a> Session<'a> {
         dir: &'a RunDir,
         tick: u64,
         mentor: Option<MentorTransitions>,
-        progress: impl FnMut(&Progress) + 'a,
+        progress: Box<dyn FnMut(&Progress) + 'a>,
     ) -> Result<Resumed<'a>, SessionError> {
         let RunPlan { experiment, life } = plan;
         let transitions = mentor.clone();
@@ -254,7 +254,7 @@ impl<'a> Session<'a> {
             stats: TrainStats::default(),
             spent: Spent::default(),
             since: Instant::now(),
-            progress: Box::new(progress),
+            progress,
         };
         Ok(Resumed { session, behaviour: state.behaviour, pending: loaded.pending })
     }

@@ -41,7 +41,7 @@ pub enum RunError {
 /// Settings that do not meet the demonstration, or the transport fails. A request that cannot be right is answered with
 /// its fault and does no harm.
 pub fn run(
-    link: &mut impl MentorLink,
+    link: &mut dyn MentorLink,
     experiment: &Experiment,
     demonstration: &Demonstration,
     stop: Stop<'_>,

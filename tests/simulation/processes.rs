@@ -6,7 +6,7 @@
 //! `deploy/supervise/mod.rs`.
 
 use super::schedule::{Flaw, Scene};
-use super::wire::{End as Link, Wire};
+use super::wire::Seat;
 use super::world::{End, MS, Mail, On, Role, World, aside, here};
 use super::{DISK, typed};
 use crate::output::words;
@@ -28,6 +28,7 @@ use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
 use trestle_link::LinkError;
 use trestle_link::iceoryx::{Domain, HeldDomain};
+use trestle_link::local::{LocalActor, LocalLearner, LocalMentor, Wire};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::Config;
 use trestle_proto::limits::{BLAME, GRACE};
@@ -277,7 +278,7 @@ fn supervise(world: &Arc<World>, prepared: &mut Prepared) -> Result<i32> {
 
 /// All processes once: a status, or the death after which they may be started again.
 fn attempt(world: &Arc<World>, prepared: &mut Prepared) -> Result<Result<i32, Death>> {
-    let domain = prepared.create_domain()?;
+    let domain = Domain::create(prepared.plan().life.run)?;
     let plan = prepared.plan().clone();
     for service in 0..SERVICES {
         let file = Path::new("/dev/shm").join(format!("{}service-{service}", domain.prefix()));
@@ -430,25 +431,28 @@ fn try_child(world: &Arc<World>, role: Role, root: &Path, supervisor: usize) -> 
     let demonstration = (role == Role::Mentor).then(|| demo_file::read(&dir.demonstration())).transpose()?;
     let mut worker = matches!(role, Role::Actor(_)).then(|| worker(&plan, &dir, index)).transpose()?;
     join(&plan, role)?;
-    let mut link = Link::new(&plan, index).context("no simulated process")?;
+    let seat = Seat::take(plan.life.run).context("no simulated process")?;
     match role {
         Role::Learner => {
-            let progress = |_: &_| {
+            let progress = Box::new(|_: &_| {
                 let mut state = world.lock();
                 if state.is_alive(process) {
                     state.processes[supervisor].mail.push_back(Mail::Progress);
                 }
-            };
+            });
+            let mut link = LocalLearner::new(seat, &plan);
             trestle_learner::run::run(&mut link, &plan, &dir, &stop, progress)?;
             Ok(0)
         }
         Role::Mentor => {
             let demonstration = demonstration.context("a mentor-server without a demonstration")?;
+            let mut link = LocalMentor::new(seat);
             trestle_mentor_server::run::run(&mut link, &plan.experiment, &demonstration, &stop)?;
             Ok(TOLD.into())
         }
         _ => {
             let worker = worker.as_mut().context("an actor without an environment")?;
+            let mut link = LocalActor::new(seat, &plan, index);
             trestle_actor::run::run(&mut link, &plan, worker, &stop)?;
             Ok(TOLD.into())
         }

@@ -10,13 +10,13 @@
 
 use super::disk::Disk;
 use super::schedule::{Fault, Flaw, Schedule, What};
-use super::wire::Wire;
 use std::any::Any;
 use std::cell::Cell;
 use std::collections::{BTreeMap, VecDeque};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use trestle_link::local::{Want, Wire};
 use trestle_proto::rng::mix;
 
 /// Calls and waits after which a schedule counts as one without an end.
@@ -69,18 +69,8 @@ pub(super) enum On {
     Process(usize),
     /// Mail for this process.
     Mail,
-    /// Other orders than this many of the run.
-    Orders(u64, u64),
-    /// Something for the learner of the run.
-    Learner(u64),
-    /// Something for the mentor-server of the run.
-    Mentor(u64),
-    /// The mentor-server's answer, or its end.
-    Answer(u64),
-    /// All peers of the run are there.
-    Gathered(u64),
-    /// The learner of the run has let the others in.
-    Welcome(u64),
+    /// Something of what the processes of the run share.
+    Wire(u64, Want),
 }
 
 #[derive(Debug)]
@@ -307,15 +297,10 @@ impl State {
                 .all(|(at, other)| other.process != process || at == thread || done(other)),
             On::Process(other) => !self.is_alive(other),
             On::Mail => !self.processes[process].mail.is_empty(),
-            On::Orders(run, known) => self.wires.get(&run).is_none_or(|wire| wire.orders.0 != known),
-            On::Learner(run) => self.wires.get(&run).is_none_or(|wire| !wire.to_learner.is_empty()),
-            On::Mentor(run) => self.wires.get(&run).is_none_or(|wire| !wire.requests.is_empty()),
-            On::Answer(run) => self.wires.get(&run).is_none_or(|wire| {
-                wire.answer.is_some() || wire.mentor.is_none_or(|mentor| !self.is_alive(mentor))
-            }),
-            On::Gathered(run) => self.wires.get(&run).is_none_or(|wire| wire.is_gathered()),
-            On::Welcome(run) => {
-                self.wires.get(&run).is_none_or(|wire| wire.welcomed) || self.processes[process].told
+            On::Wire(run, want) => {
+                let alive = |process| self.is_alive(process);
+                self.wires.get(&run).is_none_or(|wire| wire.has(want, &alive))
+                    || (want == Want::Welcome && self.processes[process].told)
             }
         }
     }

@@ -1,8 +1,8 @@
-//! How messages travel between the processes of a run: three narrow interfaces, one a role, and what implements
-//! them. Nothing outside this crate knows iceoryx2.
+//! How messages travel between the processes of a run: one narrow interface for each role, and [`Transport`], which makes a
+//! run, holds it, hands out the ends of the roles, and cleans up. Nothing outside this crate knows iceoryx2.
 //!
 //! - [`iceoryx`]: shared memory between processes;
-//! - [`local`]: channels between threads of one process, for tests of the roles' loops;
+//! - [`local`]: queues between threads of one process, for tests of the roles' loops;
 //! - [`pulse`] and [`logging`]: what a process says of itself, to its supervisor and in its log.
 //!
 //! A call that waits returns when something came, when its time is over, or with an error; it never spins.
@@ -12,6 +12,9 @@ pub mod local;
 pub mod log_file;
 pub mod logging;
 pub mod pulse;
+mod transport;
+
+pub use transport::{Footprint, Host, Liveness, Remains, Transport};
 
 use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingError};
@@ -188,4 +191,16 @@ pub trait MentorLink {
     /// Answers what has come, or the first that comes within `timeout`; returns how many were answered. In free mode
     /// another learner may call meanwhile: then `handler` forgets, and is let in anew.
     fn serve(&mut self, handler: &mut dyn MentorHandler, timeout: Duration) -> Result<usize, LinkError>;
+}
+
+/// The side of a process that only asks the mentor-server.
+pub trait ClientLink {
+    /// Asks `request` (its `run` is filled in) and waits up to `deadline`; the answer's payload replaces `into`.
+    fn ask(
+        &self,
+        request: &QueryRequest,
+        payload: &[f32],
+        into: &mut Vec<u32>,
+        deadline: Duration,
+    ) -> Result<QueryAnswer, LinkError>;
 }

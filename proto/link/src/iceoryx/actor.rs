@@ -2,7 +2,7 @@
 
 use super::bell::{Consumer, Ear, READY, WELCOME};
 use super::services::Services;
-use super::{Domain, Ipc, Wire, announce, failed, give_up_in_time};
+use super::{Ipc, Wire, announce, failed, give_up_in_time};
 use crate::{ActorLink, LinkError, Stop};
 use iceoryx2::port::backpressure_strategy::BackpressureStrategy;
 use iceoryx2::port::publisher::Publisher;
@@ -13,7 +13,6 @@ use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::orders::Orders;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{Reply, ReplyHeader};
 
 /// Room made in advance for a reply, bytes; a larger one makes the memory grow.
@@ -35,9 +34,8 @@ pub struct IceoryxActor {
 }
 
 impl IceoryxActor {
-    /// Opens the run's services and creates the ports of actor `index`.
-    pub fn new(domain: &Domain, plan: &RunPlan, index: u32) -> Result<Self, LinkError> {
-        let services = Services::open(domain, plan)?;
+    /// Creates the ports of actor `index`.
+    pub(super) fn new(services: Services, index: u32) -> Result<Self, LinkError> {
         let transitions = services
             .transitions
             .publisher_builder()

@@ -9,6 +9,7 @@
 //! no process can tell. They are [`Liveness::Unknown`], and must be left alone.
 
 use super::Ipc;
+use crate::Liveness;
 use iceoryx2::prelude::{
     Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode,
 };
@@ -51,19 +52,6 @@ pub enum DomainError {
 pub struct Domain {
     run: u64,
     root: PathBuf,
-}
-
-/// The state of a run, as its place among shared resources shows it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Liveness {
-    /// Its supervisor lives, here or in another container.
-    Alive,
-    /// Its supervisor is gone. That stays so.
-    Dead,
-    /// There is nothing of it, or nothing yet.
-    Absent,
-    /// There is something of it, but no lock that would tell.
-    Unknown,
 }
 
 /// The domain of a run of this process, which counts as alive as long as this is there. Then everything is removed.
@@ -138,6 +126,11 @@ impl Domain {
         format!("trestle_{:08x}_", self.run)
     }
 
+    /// A pattern of a shell's that names its files in `/dev/shm` and nothing else.
+    pub(super) fn names(&self) -> String {
+        format!("{SHM}/{}*", self.prefix())
+    }
+
     /// A node of this process in the run. Signals stay the process's own affair.
     pub fn node(&self) -> Result<Node<Ipc>, DomainError> {
         let fault = |message: String| DomainError::Node { path: self.root.clone(), message };
@@ -199,7 +192,7 @@ impl Domain {
     }
 
     /// Whether the run's supervisor lives.
-    pub fn is_alive(&self) -> bool {
+    pub(super) fn is_alive(&self) -> bool {
         self.liveness() == Liveness::Alive
     }
 

@@ -1,9 +1,9 @@
 //! The learner's end of the transport.
 
 use super::bell::{Consumer, Ear, HELLO, READY, ROLL_CALL, WELCOME, bit};
-use super::query::{self, ask};
+use super::client::{self, ask};
 use super::services::{MENTOR_PEER, Services};
-use super::{Domain, Ipc, Wire, failed, give_up_in_time};
+use super::{Ipc, Wire, failed, give_up_in_time};
 use crate::pulse;
 use crate::{FromActor, LearnerLink, LinkError, Stop};
 use iceoryx2::port::client::Client;
@@ -16,7 +16,6 @@ use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::limits::{ASSEMBLY, MAX_REPLY_BYTES, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::{Reply, ReplyHeader};
 
@@ -30,7 +29,7 @@ pub struct IceoryxLearner {
     /// As given last.
     given: Orders,
     observe: Client<Ipc, [u32], Wire<ObserveRequest>, [u32], Wire<ObserveAnswer>>,
-    query: query::Port,
+    query: client::Port,
     ear: Ear,
     mentor_waits: bool,
     generation: u16,
@@ -38,9 +37,8 @@ pub struct IceoryxLearner {
 }
 
 impl IceoryxLearner {
-    /// Opens the run's services and creates the learner's ports.
-    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
-        let services = Services::open(domain, plan)?;
+    /// Creates the learner's ports.
+    pub(super) fn new(services: Services, generation: u16) -> Result<Self, LinkError> {
         let sizes = &services.sizes;
         let weights = services
             .weights
@@ -77,10 +75,10 @@ impl IceoryxLearner {
             orders,
             given: Orders::default(),
             observe,
-            query: query::port(&services)?,
+            query: client::port(&services)?,
             ear: services.bells.ear(Consumer::Learner),
             mentor_waits: false,
-            generation: plan.life.generation,
+            generation,
             services,
         })
     }

@@ -2,14 +2,13 @@
 
 use super::bell::{Consumer, Ear, HELLO, READY, ROLL_CALL, WELCOME};
 use super::services::{MENTOR_PEER, Services};
-use super::{Domain, Ipc, Wire, announce, failed, give_up_in_time};
+use super::{Ipc, Wire, announce, failed, give_up_in_time};
 use crate::{LinkError, MentorHandler, MentorLink, Stop};
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::AllocationStrategy;
 use std::time::{Duration, Instant};
 use trestle_proto::limits::HELLO_INTERVAL;
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
-use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{MALFORMED, NOT_READY, QueryAnswer, QueryRequest};
 
 /// The mentor-server over shared memory.
@@ -28,9 +27,8 @@ pub struct IceoryxMentor {
 }
 
 impl IceoryxMentor {
-    /// Opens the run's services and creates the mentor-server's ports.
-    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
-        let services = Services::open(domain, plan)?;
+    /// Creates the mentor-server's ports.
+    pub(super) fn new(services: Services) -> Result<Self, LinkError> {
         let observe = services
             .observe
             .server_builder()

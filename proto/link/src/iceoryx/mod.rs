@@ -1,26 +1,30 @@
 //! The transport over iceoryx2: one run, one root directory, one prefix in `/dev/shm`.
 //!
-//! - [`domain`]: where a run's files lie, how they are removed;
-//! - [`services`]: every service with its limits; the supervisor creates and holds them, the others open them;
+//! - `shared_memory`: the transport as a whole;
+//! - `domain`: where a run's files lie, how they are removed;
+//! - `sizes`: how large its messages are;
+//! - `services`: every service with its limits; the supervisor creates and holds them, the others open them;
 //! - `bell`: sleeping until something has come;
 //! - `wire`: messages in the form that iceoryx2 accepts;
-//! - [`actor`], [`learner`], [`mentor`], [`query`]: the roles' ends.
+//! - `actor`, `learner`, `mentor`, `client`: the roles' ends.
 
-pub mod actor;
+mod actor;
 mod bell;
-pub mod domain;
-pub mod learner;
-pub mod mentor;
-pub mod query;
-pub mod services;
+mod client;
+mod domain;
+mod learner;
+mod mentor;
+mod services;
+mod shared_memory;
+mod sizes;
 mod wire;
 
 pub use actor::IceoryxActor;
-pub use domain::{Domain, DomainError, HeldDomain, Liveness};
+pub use client::IceoryxClient;
+pub use domain::{Domain, DomainError, HeldDomain};
 pub use learner::IceoryxLearner;
 pub use mentor::IceoryxMentor;
-pub use query::QueryClient;
-pub use services::Services;
+pub use shared_memory::{IceoryxHost, SharedMemory};
 pub use wire::Wire;
 
 use crate::{LinkError, Stop, pulse};

@@ -2,22 +2,17 @@
 //! because a process that dies while it creates a service would leave it unusable.
 
 use super::bell::Bells;
+use super::sizes::Sizes;
 use super::{Domain, Ipc, Wire, failed};
 use crate::LinkError;
 use iceoryx2::prelude::{Node, ServiceName, ZeroCopySend};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use std::fmt::Debug;
-use trestle_proto::acting::{ActingHeader, Lengths, Room};
-use trestle_proto::annotation::record_words;
-use trestle_proto::batch::{self, BatchHeader, Spaces};
-use trestle_proto::config::Mode;
-use trestle_proto::experiment::Experiment;
-use trestle_proto::limits::{
-    MAX_ACTORS, MAX_QUERY_CLIENTS, MAX_QUERY_ROWS, REPLIES_BUFFER, TRANSITIONS_BUFFER,
-};
-use trestle_proto::mentor::transition_words;
+use trestle_proto::acting::ActingHeader;
+use trestle_proto::batch::BatchHeader;
+use trestle_proto::limits::{MAX_ACTORS, MAX_QUERY_CLIENTS, REPLIES_BUFFER};
 use trestle_proto::message::Message;
-use trestle_proto::observe::{ObserveAnswer, ObserveRequest, PART_WORDS};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest};
@@ -28,118 +23,13 @@ pub(super) const MENTOR_PEER: usize = MAX_ACTORS as usize;
 /// Processes besides actors and query clients: supervisor, learner, mentor-server, and as many again while one is
 /// replaced.
 const OTHER_NODES: usize = 6;
-/// Shared memory that the buffered batches of one actor may take, bytes; fewer are buffered if they are larger.
-const TRANSITIONS_BYTES: usize = 32 << 20;
-
-/// The sizes of a run's messages, derived from its experiment.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Sizes {
-    /// Actors.
-    pub actors: usize,
-    /// Features of an observation.
-    pub obs_dim: usize,
-    /// What transitions can be.
-    pub spaces: Spaces,
-    /// Units of the network's layers.
-    pub network: Vec<u32>,
-    /// Words of a batch.
-    pub batch_words: usize,
-    /// Entries of what actors act with.
-    pub acting: Lengths,
-    /// Own paths that they may get beside.
-    pub own: Room,
-    /// Transitions of the demonstration; 0 without a mentor.
-    pub mentor_len: usize,
-    /// Batches of an actor that may be on their way.
-    pub window: usize,
-    /// Whether a process that dies is replaced while the others go on: in free mode.
-    pub replaces: bool,
-}
-
-impl Sizes {
-    /// The sizes of the messages of `experiment`'s run.
-    pub fn of(experiment: &Experiment) -> Self {
-        let network = experiment.sizes();
-        Self {
-            actors: experiment.config.run.actors as usize,
-            obs_dim: experiment.spec.obs_dim(),
-            spaces: experiment.spaces(),
-            network: network.into_iter().map(|n| n as u32).collect(),
-            batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.obs_dim()),
-            acting: experiment.acting(),
-            own: experiment.own_room(),
-            mentor_len: experiment.mentor_len(),
-            window: experiment.window() as usize,
-            replaces: experiment.config.run.mode == Mode::Free,
-        }
-    }
-
-    /// Words of what actors act with, at most.
-    pub fn acting_words(&self) -> usize {
-        self.acting.words() + self.own.words()
-    }
-
-    /// Batches of an actor that may wait for the learner.
-    pub fn transitions_buffer(&self) -> usize {
-        if self.replaces {
-            return self.window;
-        }
-        (TRANSITIONS_BYTES / (4 * self.batch_words)).clamp(2, TRANSITIONS_BUFFER)
-    }
-
-    /// Words of the largest request to `mentor/observe`.
-    pub fn observe_request_words(&self) -> usize {
-        (self.actors * (self.batch_words + PART_WORDS))
-            .max(self.annotation_rows() * record_words(self.obs_dim))
-    }
-
-    /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
-    pub fn observe_answer_words(&self) -> usize {
-        let rollout = self.batch_words / batch::words(1, self.obs_dim);
-        self.actors * (rollout + 1) + self.annotation_rows() * record_words(self.obs_dim)
-    }
-
-    /// Words of the largest answer of `mentor/query`.
-    pub fn query_answer_words(&self) -> usize {
-        let row = record_words(self.obs_dim).max(transition_words(self.obs_dim)).max(8);
-        self.annotation_rows() * row
-    }
-
-    /// Annotations or mentor transitions that travel in one message.
-    pub fn annotation_rows(&self) -> usize {
-        self.mentor_len.clamp(1, MAX_QUERY_ROWS as usize)
-    }
-
-    /// The largest of the run's files in shared memory, bytes, iceoryx2's own books aside.
-    pub fn largest_segment_bytes(&self) -> u64 {
-        let batches = (self.transitions_buffer() + 2) * self.batch_words * 4;
-        let mentor = match self.mentor_len {
-            0 => 0,
-            _ => self.observe_request_words().max(self.observe_answer_words()).max(self.query_answer_words()),
-        };
-        batches.max(16 * self.acting_words()).max(16 * mentor) as u64
-    }
-
-    /// Shared memory that the run will take, bytes, to within its fixed costs of some 100 kB a service.
-    pub fn shared_memory_bytes(&self) -> u64 {
-        let batches = self.actors * (self.transitions_buffer() + 2) * self.batch_words * 4;
-        let weights = 4 * self.acting_words() * 4;
-        let mentor = if self.mentor_len == 0 {
-            0
-        } else {
-            4 * 4 * (self.observe_request_words() + self.observe_answer_words() + self.query_answer_words())
-        };
-        const FIXED: usize = 8 << 20;
-        (batches + weights + mentor + FIXED) as u64
-    }
-}
 
 type Topic<T, H> = publish_subscribe::PortFactory<Ipc, [T], Wire<H>>;
 type Exchange<Q, H, A> = request_response::PortFactory<Ipc, [Q], Wire<H>, [u32], Wire<A>>;
 
 /// All services of a run, opened. They exist for as long as a process holds this.
 #[derive(Debug)]
-pub struct Services {
+pub(super) struct Services {
     pub(super) sizes: Sizes,
     pub(super) run: u64,
     pub(super) transitions: Topic<u32, BatchHeader>,
@@ -275,7 +165,7 @@ impl Way<'_> {
 
 impl Services {
     /// Creates every service of `plan`'s run; the supervisor alone does this.
-    pub fn create(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
+    pub(super) fn create(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
         Self::build(domain, plan, true)
     }
 
@@ -283,12 +173,12 @@ impl Services {
     ///
     /// # Errors
     /// There is no supervisor that holds them; the remains of such a run are removed.
-    pub fn open(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
-        Self::build(domain, plan, false)
+    pub(super) fn open(plan: &RunPlan) -> Result<Self, LinkError> {
+        Self::build(&Domain::of(plan.life.run), plan, false)
     }
 
     /// Removes the remains of the run's dead processes, so that others can take their places. False: something is left.
-    pub fn reap(&self) -> bool {
+    pub(super) fn reap(&self) -> bool {
         let cleaned = self.node.try_cleanup_dead_nodes();
         // A process that waits for a dead one learns of its death.
         if cleaned.cleanups > 0

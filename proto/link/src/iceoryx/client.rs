@@ -2,11 +2,10 @@
 
 use super::bell::{Bells, Consumer, Ear};
 use super::services::Services;
-use super::{Domain, Ipc, Wire, failed, give_up_in_time};
-use crate::LinkError;
+use super::{Ipc, Wire, failed, give_up_in_time};
+use crate::{ClientLink, LinkError};
 use iceoryx2::port::client::Client;
 use std::time::Duration;
-use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
 
 pub(super) type Port = Client<Ipc, [f32], Wire<QueryRequest>, [u32], Wire<QueryAnswer>>;
@@ -23,21 +22,21 @@ pub(super) fn port(services: &Services) -> Result<Port, LinkError> {
 
 /// Any process that wants to ask a running mentor-server.
 #[derive(Debug)]
-pub struct QueryClient {
+pub struct IceoryxClient {
     port: Port,
     ear: Ear,
     services: Services,
 }
 
-impl QueryClient {
-    /// Opens the services of a running run.
-    pub fn new(domain: &Domain, plan: &RunPlan) -> Result<Self, LinkError> {
-        let services = Services::open(domain, plan)?;
+impl IceoryxClient {
+    /// Creates the client's port.
+    pub(super) fn new(services: Services) -> Result<Self, LinkError> {
         Ok(Self { port: port(&services)?, ear: services.bells.ear(Consumer::Clients), services })
     }
+}
 
-    /// Asks `request` (its `run` is filled in) and waits up to `deadline`; the answer's payload replaces `into`.
-    pub fn ask(
+impl ClientLink for IceoryxClient {
+    fn ask(
         &self,
         request: &QueryRequest,
         payload: &[f32],
