@@ -81,7 +81,7 @@ fn ticks(times: u64) -> Result<()> {
     for number in 1..=times {
         let env_steps = agent.counters().env_steps;
         let steps = experiment.config.run.rollout;
-        let order = Collect { run: 1, round: number, env_steps, steps, ..Collect::default() };
+        let order = Collect { run: 1, round: number.into(), env_steps, steps, ..Collect::default() };
         worker.collect(agent.acting(), &order, &mut batch)?;
         let checked = batch.check(&experiment.spaces())?;
         mentor.observe(env_steps, checked.transitions(), &mut observed)?;

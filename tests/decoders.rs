@@ -229,7 +229,7 @@ fn replay(bytes: &[u8]) {
 /// A MANIFEST that its COMPLETE vouches for.
 fn manifest(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
-    let own = checkpoint::directory(dir.path(), 3);
+    let own = checkpoint::directory(dir.path(), 3.into());
     fs::create_dir_all(&own).unwrap();
     fs::write(own.join("MANIFEST"), bytes).unwrap();
     fs::write(own.join("COMPLETE"), format!("{:08x}\n", crc32c::crc32c(bytes))).unwrap();
@@ -245,7 +245,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     }
     let mut batch = Batch::default();
     batch.prepare(BatchHeader { run: 7, count: 3, obs_dim: DIM as u32, ..BatchHeader::default() });
-    let orders = Orders { run: 7, round: 1, ..Orders::default() };
+    let orders = Orders { run: 7, round: 1.into(), ..Orders::default() };
     let acting = acting();
     let mut payload = vec![0; acting.words()];
     acting.write(&mut payload);
@@ -271,7 +271,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("messages", bytes(batch.header, batch.payload())),
         ("messages", bytes(orders, &[])),
-        ("messages", bytes(ActingHeader::new(7, 0, 4, &[1, 2], &acting), &payload)),
+        ("messages", bytes(ActingHeader::new(7, 0, 4.into(), &[1, 2], &acting), &payload)),
         ("messages", bytes(answer, &[1, NONE, 0, 2, 0])),
         ("messages", bytemuck::cast_slice(&table).to_vec()),
         ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),

@@ -33,7 +33,7 @@ fn saved_once(place: &Place, name: &str) -> (Process, RunDir) {
 /// The arguments of a run as above that ends a few checkpoints after the newest one in `dir`.
 fn a_little_longer(dir: &RunDir) -> [String; 7] {
     // A tick has 32 steps.
-    let steps = newest_checkpoint(dir).unwrap() * 32 + 12_000;
+    let steps = u64::from(newest_checkpoint(dir).unwrap()) * 32 + 12_000;
     let mut args = ENDLESS.map(String::from);
     args[2] = steps.to_string();
     args

@@ -167,8 +167,8 @@ fn what_it_goes_on_from_is_kept() {
     };
     assert_eq!(ticks(), [62, 63]);
     let plan = dir.read_plan().unwrap();
-    assert_eq!(checkpoint::newest_resumable(dir.root(), &plan).unwrap().unwrap().0, 62);
-    let damaged = checkpoint::directory(dir.root(), 62).join("pending.bin");
+    assert_eq!(checkpoint::newest_resumable(dir.root(), &plan).unwrap().unwrap().0, 62.into());
+    let damaged = checkpoint::directory(dir.root(), 62.into()).join("pending.bin");
     let whole = fs::read(&damaged).unwrap();
     fs::write(&damaged, &whole[..whole.len() / 2]).unwrap();
     let refused = start(&["resume", &root, "--env-steps", "3000"]).finish();

@@ -187,7 +187,7 @@ fn a_damaged_checkpoint_is_passed_over() {
     let undisturbed = place.train("undisturbed", &ARGS);
     let dir = place.run("run");
     let mut run = start(&place.training("run", &ARGS));
-    let complete = |tick: u64| checkpoint::directory(dir.root(), tick).join("COMPLETE").exists();
+    let complete = |tick: u64| checkpoint::directory(dir.root(), tick.into()).join("COMPLETE").exists();
     // The checkpoint of 6000 environment steps and that of 12000, in ticks of 32.
     run.wait_for("two checkpoints", || complete(6_000_u64.div_ceil(32)) && complete(12_000_u64.div_ceil(32)));
     run.signal(Signal::SIGINT);

@@ -36,7 +36,7 @@ fn a_signal_saves_and_leaves() {
         let result = result(&dir);
         assert!(result.interrupted && result.env_steps > 0, "{result:?}");
         let newest = newest_checkpoint(&dir).unwrap();
-        assert_eq!(newest * 2 * 32, result.env_steps, "the checkpoint is of the last tick");
+        assert_eq!(u64::from(newest) * 2 * 32, result.env_steps, "the checkpoint is of the last tick");
         fs::remove_dir_all(dir.root()).unwrap();
     }
 }
@@ -85,7 +85,11 @@ fn signals_together_are_one_request() {
     assert_gone(&dir);
     let result = result(&dir);
     assert!(result.interrupted);
-    assert_eq!(newest_checkpoint(&dir).unwrap() * 2 * 32, result.env_steps, "the last tick is saved");
+    assert_eq!(
+        u64::from(newest_checkpoint(&dir).unwrap()) * 2 * 32,
+        result.env_steps,
+        "the last tick is saved"
+    );
 }
 
 /// Some systems signal every process of a service or a job, and not the supervisor alone.
@@ -107,7 +111,7 @@ fn a_signal_for_a_process_of_a_run_is_one_for_the_run() {
         assert_gone(&dir);
         let result = result(&dir);
         assert!(result.interrupted, "{role:?}");
-        assert_eq!(newest_checkpoint(&dir).unwrap() * 2 * 32, result.env_steps, "{role:?}");
+        assert_eq!(u64::from(newest_checkpoint(&dir).unwrap()) * 2 * 32, result.env_steps, "{role:?}");
         fs::remove_dir_all(dir.root()).unwrap();
     }
 }

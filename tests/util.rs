@@ -18,6 +18,7 @@ use tempfile::TempDir;
 use trestle_learner::checkpoint;
 use trestle_learner::record::RunResult;
 use trestle_link::iceoryx::Domain;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 
 /// The program under test.
@@ -363,7 +364,7 @@ pub(crate) fn result(dir: &RunDir) -> RunResult {
 }
 
 /// The tick of the newest complete checkpoint.
-pub(crate) fn newest_checkpoint(dir: &RunDir) -> Option<u64> {
+pub(crate) fn newest_checkpoint(dir: &RunDir) -> Option<Round> {
     checkpoint::newest_complete(dir.root()).unwrap().map(|(tick, _)| tick)
 }
 

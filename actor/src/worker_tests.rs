@@ -44,7 +44,7 @@ fn random_params(experiment: &Experiment) -> Vec<f32> {
 
 fn order(round: u64, steps: u32) -> Collect {
     let env_steps = (round - 1) * u64::from(steps);
-    Collect { run: 77, round, weights_version: round - 1, env_steps, steps }
+    Collect { run: 77, round: round.into(), weights_version: (round - 1).into(), env_steps, steps }
 }
 
 /// `n` batches of `amount` steps.
@@ -253,9 +253,9 @@ fn batches_are_complete_and_continuous() {
     for (t, batch) in (1..).zip(batches(&mut worker, &params, 1, 20, 32)) {
         let header = BatchHeader {
             run: 77,
-            round: t,
+            round: t.into(),
             first_seq: (t - 1) * 32,
-            weights_version: t - 1,
+            weights_version: (t - 1).into(),
             actor: 1,
             incarnation: Incarnation::default(),
             count: 32,

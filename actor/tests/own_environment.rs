@@ -129,7 +129,7 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
     // A batch of training, and a snapshot in the middle of an episode.
     let mut worker = Worker::new(&experiment, 0).unwrap();
     let acting = Acting::zeros(worker.lengths());
-    let order = Collect { run: 1, round: 1, steps: 23, ..Collect::default() };
+    let order = Collect { run: 1, round: 1.into(), steps: 23, ..Collect::default() };
     let mut batch = Batch::default();
     worker.collect(&acting, &order, &mut batch).unwrap();
     assert!((0..23).any(|i| batch.transition(i).terminated()));

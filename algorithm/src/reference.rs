@@ -12,6 +12,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::observe::Observed;
 use trestle_proto::orders::Collect;
 use trestle_proto::reply::Evaluation;
+use trestle_proto::round::Round;
 
 /// An environment with a policy in it.
 pub trait Actor {
@@ -52,7 +53,7 @@ pub trait Learner {
     ///
     /// # Errors
     /// Training diverges.
-    fn train(&mut self, tick: u64) -> Result<(), Self::Error>;
+    fn train(&mut self, tick: Round) -> Result<(), Self::Error>;
 
     /// Number, from 0, and episodes of the evaluation that is due after a tick, if one is.
     fn evaluation_due(&mut self) -> Option<(u64, u32)>;
@@ -86,9 +87,9 @@ where
     let mut observed = Observed::default();
     // The newest, or with a lag that of one tick earlier.
     let mut acting = learner.agent().acting().clone();
-    let mut tick = 0;
+    let mut tick = Round::default();
     while !learner.done() && !stop() {
-        tick += 1;
+        tick = tick.next();
         // The actors take their steps.
         for (actor, batch) in actors.iter_mut().zip(&mut batches) {
             actor.collect(&acting, &order(experiment, tick), batch)?;
@@ -126,14 +127,14 @@ where
 }
 
 /// What each actor is to do in tick `tick`, from 1.
-fn order(experiment: &Experiment, tick: u64) -> Collect {
-    let before = tick - 1;
+fn order(experiment: &Experiment, tick: Round) -> Collect {
+    let before = tick.before(1);
     Collect {
         run: 0,
         round: tick,
         weights_version: before,
         // Every earlier tick gave as many: the same number whether or not they have been trained on yet.
-        env_steps: before * experiment.steps_per_tick(),
+        env_steps: u64::from(before) * experiment.steps_per_tick(),
         steps: experiment.config.run.rollout,
     }
 }

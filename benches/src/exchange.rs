@@ -26,6 +26,7 @@ use trestle_proto::observe::{Answers, OBSERVE, ObserveAnswer, ObserveRequest, Pa
 use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::JOINED;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
 /// Mentor transitions of the plan: they only say how large an answer may get.
@@ -185,7 +186,8 @@ impl Learner {
         if publish || self.version == 0 {
             self.version = self.number;
         }
-        let (run, round, weights_version) = (self.plan.life.run, self.number, self.version);
+        let (run, round, weights_version) =
+            (self.plan.life.run, Round::from(self.number), Round::from(self.version));
         let mut orders = Orders { run, round, weights_version, ..Orders::default() };
         let granted = self.number * u64::from(self.burst);
         orders.shares[..self.batches.len()].fill(Share { granted, ..Share::default() });
@@ -198,7 +200,7 @@ impl Learner {
         self.index += batches.iter().map(|batch| batch.len() as u64).sum::<u64>();
         ObserveRequest {
             run: self.plan.life.run,
-            round: self.number,
+            round: self.number.into(),
             first_index,
             op: OBSERVE,
             count: batches.len() as u32,

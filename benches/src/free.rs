@@ -41,8 +41,8 @@ impl Streaming {
     fn dispatch(&mut self) -> Result<()> {
         let SharedMemory { link, learner, .. } = &mut self.exchange;
         learner.number += 1;
-        (self.orders.round, self.orders.weights_version) = (learner.number, learner.number);
-        link.send_acting(learner.number, &learner.acting)?;
+        (self.orders.round, self.orders.weights_version) = (learner.number.into(), learner.number.into());
+        link.send_acting(learner.number.into(), &learner.acting)?;
         Ok(link.send_orders(&self.orders)?)
     }
 

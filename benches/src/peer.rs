@@ -20,6 +20,7 @@ use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryAnswer, QueryRequest, UNKNOWN_OP};
+use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 
 /// Serves a benchmark until its process is gone. `args`: the role, the directory with the plan, the actor's index, and
@@ -108,7 +109,7 @@ fn act(mut link: impl ActorLink, actor: &mut Actor, stop: &dyn Fn() -> bool) -> 
 fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<()> {
     let mut learner = UnixStream::connect(path)?;
     let mut actor = Actor::new(plan, index);
-    let (mut version, mut received) = (0, vec![0; actor.acting.lengths().words()]);
+    let (mut version, mut received) = (Round::default(), vec![0; actor.acting.lengths().words()]);
     loop {
         let mut orders = Orders::default();
         learner.read_exact(bytes_of_mut(&mut orders))?;

@@ -16,6 +16,7 @@ use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_proto::config::RivalKind;
 use trestle_proto::reply::EvaluationEpisode;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::Layout;
 
@@ -68,7 +69,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     let defined = episodes.iter().all(|episode| episode.success.is_some());
     let figures = Figures {
         run: args.run.display().to_string(),
-        checkpoint: tick,
+        checkpoint: tick.into(),
         episodes: episodes.len(),
         mean_return: mean(&|e| e.total_reward),
         mean_steps: mean(&|e| e.length as f64),
@@ -110,7 +111,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
 
 /// The weights that are asked for.
 pub(super) struct Chosen {
-    pub(super) tick: u64,
+    pub(super) tick: Round,
     /// Where they are.
     pub(super) path: PathBuf,
     pub(super) weights: Vec<f32>,
@@ -130,23 +131,23 @@ pub(super) fn choose(dir: &RunDir, which: Which, layout: &Layout) -> Result<Chos
         }
         Which::Last => checkpoint::newest_complete(root)?
             .with_context(|| format!("{} holds no complete checkpoint", dir.checkpoints().display()))?,
-        Which::Tick(tick) => find(root, tick)?,
+        Which::Tick(tick) => find(root, tick.into())?,
     };
     let weights = checkpoint::load_model(&path, layout)?;
     Ok(Chosen { tick, path, weights })
 }
 
 /// Tick and directory of the checkpoint of `tick`.
-fn find(root: &Path, tick: u64) -> Result<(u64, PathBuf)> {
+fn find(root: &Path, tick: Round) -> Result<(Round, PathBuf)> {
     let mut ticks = checkpoint::complete(root)?;
     if ticks.contains(&tick) {
         return Ok((tick, checkpoint::directory(root, tick)));
     }
     let all = ticks.len();
-    ticks.sort_by_key(|found| (found.abs_diff(tick), *found));
+    ticks.sort_by_key(|found| (found.since(tick).max(tick.since(*found)), *found));
     ticks.truncate(MAX_NAMED);
     ticks.sort_unstable();
-    let named: Vec<String> = ticks.iter().map(u64::to_string).collect();
+    let named: Vec<String> = ticks.iter().map(Round::to_string).collect();
     let nearest = if all > MAX_NAMED { ", the nearest of them" } else { "" };
     bail!(
         "--checkpoint {tick}: {} holds no complete checkpoint of this tick; accepted: last, best{}{}{nearest}",

@@ -8,6 +8,7 @@ pub(crate) use onnx::model;
 pub(crate) use tensors::file;
 
 use trestle_proto::experiment::Experiment;
+use trestle_proto::round::Round;
 use trestle_qnet::{Conv, Encoding, Layer, Layout};
 
 /// A network as it is exported.
@@ -15,7 +16,7 @@ pub(crate) struct Network {
     /// Name of the environment.
     pub(crate) env: String,
     /// The checkpoint's tick.
-    pub(crate) tick: u64,
+    pub(crate) tick: Round,
     /// Names of the features of an observation; none where they have no names.
     pub(crate) features: Vec<String>,
     /// Names of the actions, in the order of the values.
@@ -60,7 +61,7 @@ impl Network {
     /// The network of `experiment` with the flat parameters `params`.
     pub(crate) fn new(
         experiment: &Experiment,
-        tick: u64,
+        tick: Round,
         features: Vec<String>,
         layout: &Layout,
         encoding: Encoding,

@@ -28,6 +28,7 @@ use trestle_proto::config::{self, Mode};
 use trestle_proto::experiment::Experiment;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::regular_file;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
 /// Largest `result.json` that is read, bytes.
@@ -250,26 +251,26 @@ impl Prepared {
     }
 
     /// The tick of the newest checkpoint that the run can go on from, if there is one.
-    pub(crate) fn newest_checkpoint(&self) -> Result<Option<u64>> {
+    pub(crate) fn newest_checkpoint(&self) -> Result<Option<Round>> {
         Ok(checkpoint::newest_resumable(self.dir.root(), &self.plan)?.map(|(tick, _)| tick))
     }
 
     /// The tick that the link to the newest checkpoint names, whether that is sound or not: for a caller that only wants to know
     /// whether the run gets ahead.
-    pub(crate) fn last_checkpoint(&self) -> Option<u64> {
+    pub(crate) fn last_checkpoint(&self) -> Option<Round> {
         checkpoint::last(self.dir.root())
     }
 
     /// Makes the directory ready for another start of all processes, from checkpoint `tick` or from the beginning. The
     /// run gets a new identity, so that nothing of the former start can be mistaken for its own.
-    pub(crate) fn restart_from(&mut self, tick: Option<u64>) -> Result<()> {
+    pub(crate) fn restart_from(&mut self, tick: Option<Round>) -> Result<()> {
         check(&Needs::of(&self.plan.experiment))?;
         self.plan.life.run = draw()?;
         self.replace_learner(tick)
     }
 
     /// Makes the directory ready for another learner, which goes on from checkpoint `tick` or from the beginning.
-    pub(crate) fn replace_learner(&mut self, tick: Option<u64>) -> Result<()> {
+    pub(crate) fn replace_learner(&mut self, tick: Option<Round>) -> Result<()> {
         self.plan.life.resume_tick = tick;
         self.plan.life.generation = next_generation(self.plan.life.generation)?;
         self.count_restart()

@@ -8,6 +8,7 @@ use super::children::Death;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 use trestle_proto::limits::{RESTART_BACKOFF, RESTART_BACKOFF_MOST, RESTART_WINDOW};
+use trestle_proto::round::Round;
 
 /// What is to be done after a death.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -27,24 +28,24 @@ pub(super) struct Restarts {
     /// When the run was started again since it last got ahead.
     spent: VecDeque<Instant>,
     /// The checkpoint that the last start went on from.
-    from: Option<u64>,
+    from: Option<Round>,
     /// The last death, as [`Death::reported`].
     reported: Option<String>,
 }
 
 impl Restarts {
     /// For a run that starts from checkpoint `from` and may be started again `allowed` times without getting ahead.
-    pub(super) fn new(allowed: u32, from: Option<u64>) -> Self {
+    pub(super) fn new(allowed: u32, from: Option<Round>) -> Self {
         Self { allowed, deterministic: true, spent: VecDeque::new(), from, reported: None }
     }
 
     /// For a process that may be replaced `allowed` times without a new checkpoint, each time meeting something else.
-    pub(super) fn of_process(allowed: u32, from: Option<u64>) -> Self {
+    pub(super) fn of_process(allowed: u32, from: Option<Round>) -> Self {
         Self { deterministic: false, ..Self::new(allowed, from) }
     }
 
     /// `death` happened at `now`, with `checkpoint` as the newest complete one.
-    pub(super) fn after(&mut self, death: &Death, checkpoint: Option<u64>, now: Instant) -> Verdict {
+    pub(super) fn after(&mut self, death: &Death, checkpoint: Option<Round>, now: Instant) -> Verdict {
         let ahead = checkpoint != self.from;
         let reported = death.reported();
         let repeated = self.deterministic && !ahead && reported.is_some() && reported == self.reported;
@@ -110,11 +111,11 @@ mod tests {
     #[test]
     fn a_run_that_gets_ahead_goes_on() {
         let start = Instant::now();
-        let mut restarts = Restarts::new(1, Some(4));
+        let mut restarts = Restarts::new(1, Some(4.into()));
         for tick in 5..50 {
-            assert_eq!(restarts.after(&killed(), Some(tick), start), Verdict::Again(Duration::ZERO));
+            assert_eq!(restarts.after(&killed(), Some(tick.into()), start), Verdict::Again(Duration::ZERO));
         }
-        assert!(matches!(restarts.after(&killed(), Some(49), start), Verdict::End(_)));
+        assert!(matches!(restarts.after(&killed(), Some(49.into()), start), Verdict::End(_)));
     }
 
     #[test]
@@ -143,9 +144,15 @@ mod tests {
         assert!(matches!(restarts.after(&failed("disk"), None, start), Verdict::Again(_)));
         assert!(matches!(restarts.after(&killed(), None, start), Verdict::Again(_)));
         assert!(matches!(restarts.after(&failed("disk"), None, start), Verdict::Again(_)));
-        assert!(matches!(restarts.after(&failed("disk"), Some(1), start), Verdict::Again(_)), "it got ahead");
-        assert!(matches!(restarts.after(&failed("disk"), Some(1), start), Verdict::End(_)));
+        assert!(
+            matches!(restarts.after(&failed("disk"), Some(1.into()), start), Verdict::Again(_)),
+            "it got ahead"
+        );
+        assert!(matches!(restarts.after(&failed("disk"), Some(1.into()), start), Verdict::End(_)));
         let mut never = Restarts::new(0, None);
-        assert_eq!(never.after(&killed(), Some(1), start), Verdict::End("supervise.restarts = 0".into()));
+        assert_eq!(
+            never.after(&killed(), Some(1.into()), start),
+            Verdict::End("supervise.restarts = 0".into())
+        );
     }
 }

@@ -29,6 +29,7 @@ use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{NOT_READY, QueryRequest, TRANSITIONS, status_text};
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Evaluation, JOINED, Reply};
+use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 
 /// What ends the learner's process early.
@@ -70,7 +71,7 @@ pub fn run(
         }
         Some(tick) => Session::resume(plan, dir, tick, mentor, progress)?,
     };
-    tracing::info!(tick = resumed.session.tick(), "ready to train");
+    tracing::info!(tick = %resumed.session.tick(), "ready to train");
     Loop::new(link, plan, resumed, stop).run()
 }
 
@@ -137,7 +138,7 @@ struct Loop<'a> {
     /// for the checkpoint that is being taken.
     behaviour: Option<Acting>,
     /// The round of the last checkpoint that the run can go on from.
-    saved: Option<u64>,
+    saved: Option<Round>,
     stop: Stop<'a>,
 }
 
@@ -149,7 +150,7 @@ impl<'a> Loop<'a> {
         let (actors, barrier) = (run.actors as usize, run.mode != Mode::Free);
         // In lockstep every actor is there, and goes on from its snapshot.
         let ticks = session.tick() + u64::from(!pending.is_empty());
-        let next_seq = ticks * u64::from(run.rollout);
+        let next_seq = u64::from(ticks) * u64::from(run.rollout);
         let seat = barrier.then_some(Seat { incarnation: Incarnation::default(), batches: 0, next_seq });
         Self {
             barrier,
@@ -190,7 +191,7 @@ impl<'a> Loop<'a> {
         self.begin()?;
         let lag = self.plan.experiment.config.run.lag == 1;
         while !self.session.done() {
-            logging::set_tick(self.session.tick() + 1);
+            logging::set_tick(self.session.tick().next());
             self.receive()?;
             let ending = self.barrier && self.session.ends_within(batches(&self.came));
             if ending {
@@ -230,7 +231,7 @@ impl<'a> Loop<'a> {
         let tick = self.session.tick();
         match self.behaviour.take() {
             Some(acting) => {
-                let version = tick.saturating_sub(u64::from(self.plan.experiment.config.run.lag));
+                let version = tick.before(u64::from(self.plan.experiment.config.run.lag));
                 self.link.send_acting(version, &acting)?;
                 self.orders.weights_version = version;
             }
@@ -419,7 +420,7 @@ impl<'a> Loop<'a> {
             }
         }
         if self.session.agent().counters().env_steps > before {
-            self.session.train(self.session.tick() + 1)?;
+            self.session.train(self.session.tick().next())?;
         }
         self.spare.truncate(self.seats.len());
         Ok(mentored)
@@ -445,7 +446,7 @@ impl<'a> Loop<'a> {
     fn observe(&mut self, count: usize) -> Result<bool, RunError> {
         // Once the run has reached its limits, what the agent drops still counts for the mentor-server.
         let first_index = self.session.agent().counters().env_steps;
-        let round = self.session.tick() + 1;
+        let round = self.session.tick().next();
         loop {
             let parts: Vec<Part<'_>> = batches(&self.came[..count]).map(Part::of).collect();
             if parts.is_empty() {
@@ -645,7 +646,7 @@ fn is_lost_mentor(error: &LinkError) -> bool {
     }
 }
 
-fn request(plan: &RunPlan, round: u64, first_index: u64, op: u32, count: usize) -> ObserveRequest {
+fn request(plan: &RunPlan, round: Round, first_index: u64, op: u32, count: usize) -> ObserveRequest {
     let (run, count, obs_dim) = (plan.life.run, count as u32, plan.experiment.spec.obs_dim() as u32);
     ObserveRequest { run, round, first_index, op, count, obs_dim, reserved: 0 }
 }

@@ -211,7 +211,7 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
         batch.prepare(BatchHeader { count: 1, obs_dim: 2, ..BatchHeader::default() });
         batch.set(0, &Transition { obs: &[0.0; 2], next_obs: &[0.0; 2], action: 0, reward: 0.0, flags });
         session.ingest(&batch.clone().check(&plan.experiment.spaces()).unwrap(), None).unwrap();
-        session.train(round).unwrap();
+        session.train(round.into()).unwrap();
     }
     let (number, _) = session.evaluate().unwrap();
     let episode = EvaluationEpisode {

@@ -27,6 +27,7 @@ use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::Evaluation;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
@@ -76,12 +77,12 @@ pub struct Session<'a> {
     recorder: Recorder,
     timeline: Timeline,
     /// The weights that the evaluation is played with that has been asked for, and their tick.
-    candidate: (u64, Vec<f32>),
+    candidate: (Round, Vec<f32>),
     /// The highest return of an evaluation whose weights have been kept.
     best: Option<f64>,
     saver: Saver,
     /// The last tick that has been trained on; in free mode the last round.
-    tick: u64,
+    tick: Round,
     /// Number of the next evaluation.
     evaluations: u64,
     /// The counts at which an evaluation became due. In lockstep it is played with the weights of that moment, in free mode
@@ -162,7 +163,7 @@ impl reference::Learner for Session<'_> {
         Self::ingest(self, batch, observed).map(|_| ())
     }
 
-    fn train(&mut self, tick: u64) -> Result<(), SessionError> {
+    fn train(&mut self, tick: Round) -> Result<(), SessionError> {
         Self::train(self, tick)
     }
 
@@ -194,11 +195,11 @@ impl<'a> Session<'a> {
             dir,
             agent: Agent::new(experiment, mentor)?,
             timeline,
-            candidate: (0, Vec::new()),
+            candidate: (Round::default(), Vec::new()),
             best: None,
             recorder: Recorder::create(dir.root(), settings(experiment))?,
             saver: Saver::new(dir.root()),
-            tick: 0,
+            tick: Round::default(),
             evaluations: 0,
             due: None,
             ordered: None,
@@ -220,7 +221,7 @@ impl<'a> Session<'a> {
     pub fn resume(
         plan: &'a RunPlan,
         dir: &'a RunDir,
-        tick: u64,
+        tick: Round,
         mentor: Option<MentorTransitions>,
         progress: Box<dyn FnMut(&Progress) + 'a>,
     ) -> Result<Resumed<'a>, SessionError> {
@@ -234,7 +235,7 @@ impl<'a> Session<'a> {
             life,
             dir,
             timeline: Timeline::resume(experiment, dir, transitions.as_ref(), counters),
-            candidate: (0, Vec::new()),
+            candidate: (Round::default(), Vec::new()),
             // Also one of evaluations that the run goes back behind: its weights are there.
             best: checkpoint::best_so_far(dir.root()),
             agent: loaded.agent,
@@ -273,7 +274,7 @@ impl<'a> Session<'a> {
     }
 
     /// The last tick that has been trained on.
-    pub fn tick(&self) -> u64 {
+    pub fn tick(&self) -> Round {
         self.tick
     }
 
@@ -315,13 +316,13 @@ impl<'a> Session<'a> {
 
     /// Free mode: begins a round that has no steps.
     pub fn skip_round(&mut self) {
-        self.tick += 1;
+        self.tick = self.tick.next();
     }
 
     /// Free mode: counts a batch of the actor that has come last under its index, `env_steps` transitions of which have
     /// been ingested.
     pub fn count_batch(&mut self, batch: &Batch, env_steps: usize) {
-        let age = self.tick.saturating_sub(batch.header.weights_version);
+        let age = self.tick.since(batch.header.weights_version);
         self.staleness.add(age);
         if let Some(row) = self.actors.iter_mut().rev().find(|row| row.actor == batch.header.actor) {
             row.batches += 1;
@@ -331,7 +332,7 @@ impl<'a> Session<'a> {
     }
 
     /// Takes the gradient steps that the transitions of tick `number` make due, and decides whether an evaluation is.
-    pub fn train(&mut self, number: u64) -> Result<(), SessionError> {
+    pub fn train(&mut self, number: Round) -> Result<(), SessionError> {
         self.saver.poll()?;
         self.stats.merge(&self.agent.train(pulse::step)?);
         self.tick = number;
@@ -367,14 +368,16 @@ impl<'a> Session<'a> {
 
     /// Whether the run is over with the next tick, whose batches are `batches`.
     pub fn ends_within<'b>(&self, batches: impl Iterator<Item = &'b Batch>) -> bool {
-        self.agent.ends_within(batches) || self.solved(self.tick + 1)
+        self.agent.ends_within(batches) || self.solved(self.tick.next())
     }
 
     /// Whether the run stops with `tick` because it is solved. The answer to an evaluation comes while the next tick, with a
     /// lag the one after it, is under way: that tick is the last one wherever the answer came earlier, too.
-    fn solved(&self, tick: u64) -> bool {
+    fn solved(&self, tick: Round) -> bool {
         let run = &self.experiment.config.run;
-        let last = |by: Counters| by.env_steps / self.experiment.steps_per_tick() + 1 + u64::from(run.lag);
+        let last = |by: Counters| {
+            Round::from(by.env_steps / self.experiment.steps_per_tick()) + 1 + u64::from(run.lag)
+        };
         let now = |by| run.mode == Mode::Free || tick >= last(by);
         run.stop_when_solved && self.solved_by.is_some_and(now)
     }

@@ -7,6 +7,7 @@
 
 use crate::limits::MAX_SIZES;
 use crate::message::Message;
+use crate::round::Round;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -187,7 +188,7 @@ pub struct ActingHeader {
     /// Identity of the run.
     pub run: u64,
     /// The round after which these weights stood; 0 for the initial ones.
-    pub version: u64,
+    pub version: Round,
     /// The learner's start that they are of ([`crate::plan::Life::generation`]).
     pub generation: u32,
     /// CRC-32C of the payload's bytes.
@@ -256,7 +257,7 @@ pub enum ActingError {
     #[error("weights version {version} have checksum {found:08x}; their header says {expected:08x}")]
     Checksum {
         /// Their version.
-        version: u64,
+        version: Round,
         /// What was computed.
         found: u32,
         /// What was announced.
@@ -266,7 +267,7 @@ pub enum ActingError {
 
 impl ActingHeader {
     /// The header of `acting`, whose network has `sizes` (at most [`MAX_SIZES`]).
-    pub fn new(run: u64, generation: u16, version: u64, sizes: &[u32], acting: &Acting) -> Self {
+    pub fn new(run: u64, generation: u16, version: Round, sizes: &[u32], acting: &Acting) -> Self {
         let Lengths { known, policy, .. } = acting.lengths();
         let mut header = Self {
             run,
@@ -345,7 +346,7 @@ mod tests {
         };
         let mut words = vec![0; acting.words()];
         acting.write(&mut words);
-        let header = ActingHeader::new(9, 0, 4, &sizes, &acting);
+        let header = ActingHeader::new(9, 0, 4.into(), &sizes, &acting);
         let mut into = Acting::zeros(acting.lengths());
         assert_eq!(header.receive(9, &sizes, &words, &room, &mut into), Ok(()));
         assert_eq!(into, acting);
@@ -377,7 +378,7 @@ mod tests {
             let acting = Acting { own, ..Acting::default() };
             let mut words = vec![0; acting.words()];
             acting.write(&mut words);
-            let header = ActingHeader::new(9, 0, 4, &[], &acting);
+            let header = ActingHeader::new(9, 0, 4.into(), &[], &acting);
             header.receive(9, &[], &words, &room, &mut Acting::default()).is_err()
         };
         assert!(!refused(&[], &[]) && !refused(&[3], &[1.0; 6]) && !refused(&[3, 3], &[1.0; 12]));

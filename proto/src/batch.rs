@@ -13,6 +13,7 @@
 use crate::incarnation::Incarnation;
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
+use crate::round::Round;
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
@@ -67,11 +68,11 @@ pub struct BatchHeader {
     /// Identity of the run: batches of another run are refused.
     pub run: u64,
     /// The round whose orders granted this batch; in lockstep the tick.
-    pub round: u64,
+    pub round: Round,
     /// The actor's own number of the first transition, counted from 0.
     pub first_seq: u64,
     /// Version of the weights that chose the actions.
-    pub weights_version: u64,
+    pub weights_version: Round,
     /// Index of the actor, from 0.
     pub actor: u32,
     /// How often this actor has been replaced, from 0.

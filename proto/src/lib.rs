@@ -23,6 +23,7 @@ pub mod query;
 pub mod regular_file;
 pub mod reply;
 pub mod rng;
+pub mod round;
 pub mod rundir;
 pub mod schedule;
 pub mod space;

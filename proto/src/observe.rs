@@ -13,6 +13,7 @@ use crate::annotation::record_words;
 use crate::batch::{self, Batch, BatchError, Checked, Spaces, Transitions};
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
+use crate::round::Round;
 use bytemuck::{Pod, Zeroable};
 
 /// Take the transitions in, infer actions, look for bridges, and answer with mentor indices.
@@ -33,7 +34,7 @@ pub struct ObserveRequest {
     /// Identity of the run.
     pub run: u64,
     /// The round that the batches belong to, for logs.
-    pub round: u64,
+    pub round: Round,
     /// Position of the first transition in the run's one history, counted from 0; must be where the last ended.
     pub first_index: u64,
     /// One of the constants of this module.

@@ -7,6 +7,7 @@
 use crate::incarnation::Incarnation;
 use crate::limits::{MAX_ACTORS, MAX_ROLLOUT};
 use crate::message::Message;
+use crate::round::Round;
 use bytemuck::{Pod, Zeroable};
 
 /// What one actor may do.
@@ -36,11 +37,11 @@ pub struct Orders {
     /// Identity of the run.
     pub run: u64,
     /// Number of the round that the granted batches are for, from 1; in lockstep that of the tick.
-    pub round: u64,
+    pub round: Round,
     /// Environment steps of all actors before that round: where the exploration schedule stands.
     pub env_steps: u64,
     /// The weights to act with: this version or a later one. It is published before the orders.
-    pub weights_version: u64,
+    pub weights_version: Round,
     /// Number of the evaluation that actor 0 is to play, counted from 1; 0 for none. One that it has answered is not
     /// played again.
     pub evaluation: u64,
@@ -67,9 +68,9 @@ pub struct Collect {
     /// Identity of the run.
     pub run: u64,
     /// Number of the round.
-    pub round: u64,
+    pub round: Round,
     /// Version of the weights to act with.
-    pub weights_version: u64,
+    pub weights_version: Round,
     /// Environment steps of all actors before the round.
     pub env_steps: u64,
     /// Steps to take, 1 to [`MAX_ROLLOUT`].
@@ -126,7 +127,7 @@ impl Orders {
     }
 
     /// A batch of `steps` steps under these orders, with the weights `weights_version`.
-    pub fn collect(&self, weights_version: u64, steps: u32) -> Collect {
+    pub fn collect(&self, weights_version: Round, steps: u32) -> Collect {
         Collect { run: self.run, round: self.round, weights_version, env_steps: self.env_steps, steps }
     }
 
@@ -170,8 +171,11 @@ mod tests {
         let former = Orders { run: 5, ..Orders::default() };
         let concern = |orders: Orders| orders.concern(&former).collect::<Vec<_>>();
         assert_eq!(concern(former), []);
-        assert_eq!(concern(Orders { round: 2, env_steps: 9, weights_version: 1, ..former }), []);
-        let mut granted = Orders { round: 2, ..former };
+        assert_eq!(
+            concern(Orders { round: 2.into(), env_steps: 9, weights_version: 1.into(), ..former }),
+            []
+        );
+        let mut granted = Orders { round: 2.into(), ..former };
         granted.shares[3].granted = 1;
         granted.shares[7].incarnation = 1.into();
         granted.shares[9].counted = 1;

@@ -3,6 +3,7 @@
 
 use crate::codec::{self, CodecError, Kind};
 use crate::experiment::Experiment;
+use crate::round::Round;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
@@ -28,7 +29,7 @@ pub struct Life {
     /// How many times the learner has been started before in this history: the upper half of the incarnations in free mode.
     pub generation: u16,
     /// Checkpoint to go on from, as the number of its tick.
-    pub resume_tick: Option<u64>,
+    pub resume_tick: Option<Round>,
     /// How many times the run, or in free mode one of its processes, has been started again after the death of a process.
     pub restarts: u64,
 }

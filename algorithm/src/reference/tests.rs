@@ -78,7 +78,7 @@ impl Learner for Bare {
         self.agent.ingest(batch, observed).map(|_| ())
     }
 
-    fn train(&mut self, _: u64) -> Result<(), AgentError> {
+    fn train(&mut self, _: Round) -> Result<(), AgentError> {
         self.agent.train(|| ())?;
         self.weights.push(self.agent.weights().to_vec());
         Ok(())
@@ -129,7 +129,10 @@ fn actors_act_with_the_newest_weights_or_with_a_lag_the_ones_before() {
         for actor in &actors {
             assert_eq!(actor.acted.len(), 6);
             for (at, (order, weights)) in actor.acted.iter().enumerate() {
-                assert_eq!((order.round, order.env_steps, order.steps), (at as u64 + 1, 16 * at as u64, 8));
+                assert_eq!(
+                    (u64::from(order.round), order.env_steps, order.steps),
+                    (at as u64 + 1, 16 * at as u64, 8)
+                );
                 assert_eq!(*weights, learner.weights[at.saturating_sub(lag)], "tick {}", order.round);
             }
         }

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use trestle_learner::checkpoint;
 use trestle_proto::config::Env;
 use trestle_proto::rundir::RunDir;
+use trestle_proto::round::Round;
 use trestle_qnet::{Encoding, Layout, Workspace, forward, network_of};
 
 /// Rows that are evaluated at a time.
@@ -20,7 +21,7 @@ pub(crate) struct Policy {
     encoding: Encoding,
     weights: Vec<f32>,
     workspace: Workspace,
-    tick: u64,
+    tick: Round,
     actions: Vec<String>,
 }
 
@@ -36,7 +37,7 @@ impl Policy {
         let dir = RunDir::new(&run);
         let experiment = dir.read_plan().map_err(failed)?.experiment;
         let none = || PyValueError::new_err(format!("{} holds no such complete checkpoint", run.display()));
-        let (tick, path) = match tick {
+        let (tick, path) = match tick.map(Round::from) {
             None => checkpoint::newest_complete(dir.root()).map_err(failed)?.ok_or_else(none)?,
             Some(tick) if checkpoint::complete(dir.root()).map_err(failed)?.contains(&tick) => {
                 (tick, checkpoint::directory(dir.root(), tick))
@@ -53,7 +54,7 @@ impl Policy {
     /// The checkpoint's tick.
     #[getter]
     fn tick(&self) -> u64 {
-        self.tick
+        self.tick.into()
     }
 
     /// Names of the actions, in their order.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::Path;
 use trestle_proto::regular_file;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::{BEST_FILE, Durable, write_atomically};
 use trestle_qnet::Layout;
 
@@ -18,7 +19,7 @@ const MAX_BYTES: u64 = 4 << 30;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BestEvaluation {
     /// The tick after which the weights were these.
-    pub tick: u64,
+    pub tick: Round,
     /// Finished training episodes then.
     pub episode: u64,
     /// Environment steps then.
@@ -75,7 +76,8 @@ mod tests {
         let layout = Layout::new(&[2, 3, 2]).unwrap();
         let params: Vec<f32> = (0..layout.n_params()).map(|i| i as f32 / 7.0).collect();
         assert!(load_best(dir.path(), &layout).is_err() && best_so_far(dir.path()).is_none());
-        let evaluation = BestEvaluation { tick: 3, episode: 9, env_steps: 96, total_reward: -0.1 - 0.2 };
+        let evaluation =
+            BestEvaluation { tick: 3.into(), episode: 9, env_steps: 96, total_reward: -0.1 - 0.2 };
         write_best(dir.path(), &layout, &params, &evaluation).unwrap();
         assert_eq!(load_best(dir.path(), &layout).unwrap(), (evaluation, params.clone()));
         assert_eq!(best_so_far(dir.path()), Some(-0.1 - 0.2));

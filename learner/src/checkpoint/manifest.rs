@@ -11,6 +11,7 @@ use trestle_proto::config::Mode;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::plan::Life;
 use trestle_proto::regular_file;
+use trestle_proto::round::Round;
 
 /// Version of the layout of checkpoints: any change raises it.
 pub const FORMAT: u32 = 9;
@@ -42,7 +43,7 @@ pub struct Manifest {
     /// Version of the program that wrote it.
     pub version: String,
     /// The tick after which it was taken.
-    pub tick: u64,
+    pub tick: Round,
     /// The history of the run that it belongs to, 16 hexadecimal digits ([`Life::history`]).
     #[serde(default)]
     pub history: String,

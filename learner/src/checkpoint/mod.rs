@@ -62,6 +62,7 @@ pub use write::{Cut, Taken, Unsynced};
 use std::path::{Path, PathBuf};
 use trestle_proto::codec::Kind;
 use trestle_proto::regular_file;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
 /// Longest path in the file that stands for the link, bytes.
@@ -94,16 +95,16 @@ const SELECTION_HEAD: [u8; 8] = *b"TRSE\x01\0\0\0";
 const PENDING_HEAD: [u32; 2] = [u32::from_le_bytes(*b"TRPE"), 1];
 
 /// Where the checkpoint of `tick` is in the run directory `run_dir`.
-pub fn directory(run_dir: &Path, tick: u64) -> PathBuf {
+pub fn directory(run_dir: &Path, tick: Round) -> PathBuf {
     run_dir.join(CHECKPOINTS_DIR).join(name_of(tick))
 }
 
-fn name_of(tick: u64) -> String {
+fn name_of(tick: Round) -> String {
     format!("{tick:012}")
 }
 
 /// The tick that `last` in `run_dir` names, whether as a link or as a file, and whether its checkpoint is sound or not.
-pub fn last(run_dir: &Path) -> Option<u64> {
+pub fn last(run_dir: &Path) -> Option<Round> {
     let path = run_dir.join(LAST_LINK);
     let target = std::fs::read_link(&path).or_else(|_| {
         let text = regular_file::read_to_string(&path, MAX_PATH).map_err(std::io::Error::other)?;
@@ -124,14 +125,14 @@ pub fn any_complete(run_dir: &Path) -> Result<bool, CheckpointError> {
 ///
 /// # Errors
 /// The directory cannot be listed.
-pub fn complete(run_dir: &Path) -> Result<Vec<u64>, CheckpointError> {
+pub fn complete(run_dir: &Path) -> Result<Vec<Round>, CheckpointError> {
     let mut found = ticks(run_dir)?;
     found.retain(|&tick| directory(run_dir, tick).join(COMPLETE).exists());
     Ok(found)
 }
 
 /// The ticks of which there is a directory in `run_dir`, complete or not, the newest first.
-fn ticks(run_dir: &Path) -> Result<Vec<u64>, CheckpointError> {
+fn ticks(run_dir: &Path) -> Result<Vec<Round>, CheckpointError> {
     let dir = run_dir.join(CHECKPOINTS_DIR);
     let entries = match std::fs::read_dir(&dir) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),

@@ -17,13 +17,14 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Part;
 use trestle_proto::plan::{Life, RunPlan};
+use trestle_proto::round::Round;
 use trestle_qnet::Layout;
 
 /// A run as it was at a checkpoint.
 #[derive(Debug)]
 pub struct Loaded {
     /// The tick of the checkpoint.
-    pub tick: u64,
+    pub tick: Round,
     /// The agent.
     pub agent: Agent,
     /// What each actor gave of itself.
@@ -40,13 +41,13 @@ pub struct Loaded {
 ///
 /// # Errors
 /// The directory cannot be listed.
-pub fn newest_complete(run_dir: &Path) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+pub fn newest_complete(run_dir: &Path) -> Result<Option<(Round, PathBuf)>, CheckpointError> {
     newest(run_dir, |_| true)
 }
 
 /// As [`newest_complete`], of the checkpoints that a learner after `plan`'s can go on from: not the last one of a run that has
 /// ended, and none of another layout, another configuration or another history, which is passed over with a warning.
-pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+pub fn newest_resumable(run_dir: &Path, plan: &RunPlan) -> Result<Option<(Round, PathBuf)>, CheckpointError> {
     let (own, life) = (fingerprint(&plan.experiment), &plan.life);
     let history = history_of(life);
     newest(run_dir, |manifest| {
@@ -110,7 +111,7 @@ pub fn newest_life(run_dir: &Path, experiment: &Experiment) -> Result<Option<Lif
 fn newest(
     run_dir: &Path,
     wanted: impl Fn(&Manifest) -> bool,
-) -> Result<Option<(u64, PathBuf)>, CheckpointError> {
+) -> Result<Option<(Round, PathBuf)>, CheckpointError> {
     for tick in ticks(run_dir)? {
         let dir = directory(run_dir, tick);
         match verify(&dir) {

@@ -6,6 +6,7 @@ use super::{directory, manifest};
 use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::CHECKPOINTS_DIR;
 
 /// Takes the checkpoints of one run, one at a time.
@@ -27,7 +28,7 @@ impl Saver {
     ///
     /// # Errors
     /// The checkpoint is not complete.
-    pub fn after(run_dir: &Path, tick: u64) -> Result<Self, CheckpointError> {
+    pub fn after(run_dir: &Path, tick: Round) -> Result<Self, CheckpointError> {
         let dir = directory(run_dir, tick);
         let manifest = manifest::read(&dir)?;
         Ok(Self { run_dir: run_dir.into(), saved: Some(Saved { dir, manifest }), writing: None })
@@ -46,7 +47,7 @@ impl Saver {
             let (start, tick, bytes) = (Instant::now(), frozen.tick(), frozen.new_bytes());
             let saved = frozen.write(&run_dir)?;
             let (path, write_ms) = (saved.dir.display(), start.elapsed().as_millis() as u64);
-            tracing::info!(tick, path = %path, bytes, write_ms, "checkpoint is complete");
+            tracing::info!(%tick, path = %path, bytes, write_ms, "checkpoint is complete");
             Ok(saved)
         };
         let thread = thread::Builder::new().name("checkpoint".into()).spawn(write);

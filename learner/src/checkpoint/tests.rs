@@ -12,6 +12,7 @@ use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Span;
 use trestle_proto::observe::Part;
 use trestle_proto::plan::{Life, RunPlan};
+use trestle_proto::round::Round;
 use trestle_proto::rundir::LAST_LINK;
 
 /// Lets `agent` live through `ticks` ticks of the experiment's actors.
@@ -40,6 +41,11 @@ fn run(plan: &RunPlan, ticks: &[u64]) -> (TempDir, Agent) {
     (dir, agent)
 }
 
+/// Of this module's functions, with plain numbers as ticks.
+fn directory(run_dir: &Path, tick: u64) -> PathBuf {
+    super::directory(run_dir, tick.into())
+}
+
 fn save(saver: &mut Saver, plan: &RunPlan, tick: u64, agent: &Agent) -> Result<(), CheckpointError> {
     save_as(saver, plan, tick, agent, Taken::Amid)
 }
@@ -51,7 +57,7 @@ fn save_as(
     agent: &Agent,
     taken: Taken<'_>,
 ) -> Result<(), CheckpointError> {
-    let (actors, run) = ([vec![1, 2, 250], vec![]], b"loop");
+    let (tick, actors, run) = (Round::from(tick), [vec![1, 2, 250], vec![]], b"loop");
     saver.save(
         &Cut { experiment: &plan.experiment, life: &plan.life, tick, agent, actors: &actors, run, taken },
         Vec::new(),
@@ -102,7 +108,7 @@ proptest! {
         save(&mut Saver::new(run_dir.path()), &plan, before as u64, &agent).unwrap();
         let dir = directory(run_dir.path(), before as u64);
         let loaded = load(&dir, &plan.experiment, demonstration(&plan.experiment)).unwrap();
-        prop_assert_eq!((loaded.tick, loaded.run.as_slice()), (before as u64, &b"loop"[..]));
+        prop_assert_eq!((loaded.tick, loaded.run.as_slice()), (Round::from(before as u64), &b"loop"[..]));
         prop_assert_eq!(loaded.actors, [vec![1, 2, 250], vec![]]);
         let mut again = loaded.agent;
         prop_assert!(everything(&again) == everything(&agent));
@@ -150,7 +156,7 @@ proptest! {
         let shared = how != 3 && older.join(path.file_name().unwrap()).exists()
             && Span::of_name(path.file_name().unwrap().to_str().unwrap()).is_some();
         let found = newest_complete(run_dir.path()).unwrap();
-        prop_assert_eq!(found, (!shared).then_some((4, older)));
+        prop_assert_eq!(found, (!shared).then_some((4.into(), older)));
     }
 }
 
@@ -170,19 +176,19 @@ fn the_newest_whole_checkpoint_is_found_and_only_so_many_are_kept() {
 
     // A kill before COMPLETE, a kill while writing, and strangers' files.
     fs::remove_file(directory(dir.path(), 8).join(COMPLETE)).unwrap();
-    let scratch = dir.path().join(CHECKPOINTS_DIR).join(format!("{SCRATCH}{}", name_of(9)));
+    let scratch = dir.path().join(CHECKPOINTS_DIR).join(format!("{SCRATCH}{}", name_of(9.into())));
     fs::create_dir(&scratch).unwrap();
     fs::write(scratch.join(MODEL), b"half").unwrap();
     fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("notes")).unwrap();
     fs::create_dir(dir.path().join(CHECKPOINTS_DIR).join("+00000000010")).unwrap();
-    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5);
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5.into());
     let fault =
         load(&directory(dir.path(), 8), &plan.experiment, demonstration(&plan.experiment)).unwrap_err();
     assert!(matches!(fault, CheckpointError::Incomplete { .. }), "{fault}");
 
     // Written again it replaces the unfinished one and clears up.
     save(&mut Saver::new(dir.path()), &plan, 8, &agent).unwrap();
-    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 8);
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 8.into());
     assert_eq!(there(), ["+00000000010", "000000000005", "000000000008", "notes"]);
     // A sound one stays as it is.
     let before = fs::metadata(directory(dir.path(), 8).join(MODEL)).unwrap().modified().unwrap();
@@ -246,16 +252,16 @@ fn a_run_goes_on_from_before_its_last_tick() {
     let before = everything(&agent);
     let parts: Vec<Part<'_>> = came().map(Part::of).collect();
     let mut saver = Saver::new(dir.path());
-    save_as(&mut saver, &later(&short, 1, Some(3)), 4, &agent, Taken::BeforeLast(&parts)).unwrap();
+    save_as(&mut saver, &later(&short, 1, Some(3.into())), 4, &agent, Taken::BeforeLast(&parts)).unwrap();
     tick.iter().for_each(|(batch, observed)| _ = agent.ingest(batch, observed.as_ref()).unwrap());
     assert!(agent.done() && agent.counters().env_steps == 22);
-    let own = later(&short, 1, Some(3));
+    let own = later(&short, 1, Some(3.into()));
     save_as(&mut saver, &own, 5, &agent, Taken::Last).unwrap();
 
-    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5, "the policy is the last one");
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 5.into(), "the policy is the last one");
     let longer = plan(&["run.env_steps=26", "run.rollout=5"]);
-    let longer = later(&longer, 1, Some(3));
-    assert_eq!(newest_resumable(dir.path(), &longer).unwrap().unwrap().0, 4);
+    let longer = later(&longer, 1, Some(3.into()));
+    assert_eq!(newest_resumable(dir.path(), &longer).unwrap().unwrap().0, 4.into());
     let loaded =
         load(&directory(dir.path(), 4), &longer.experiment, demonstration(&longer.experiment)).unwrap();
     assert!(everything(&loaded.agent) == before);
@@ -309,7 +315,7 @@ fn full_segments_are_written_once() {
         live(&mut agent, &mut world, 1, 20);
         save(&mut saver, &plan, tick, &agent).unwrap();
         if tick == 100 {
-            saver = Saver::after(dir.path(), tick).unwrap();
+            saver = Saver::after(dir.path(), tick.into()).unwrap();
         }
         if tick > 20 && newest_complete(dir.path()).unwrap().is_some() {
             let (before, now) = (inodes(tick - 20), inodes(tick));
@@ -347,7 +353,7 @@ fn a_failure_to_write_is_reported() {
 }
 
 /// The plan of a later learner of the same run, which goes on from checkpoint `from`.
-fn later(plan: &RunPlan, generation: u16, from: Option<u64>) -> RunPlan {
+fn later(plan: &RunPlan, generation: u16, from: Option<Round>) -> RunPlan {
     RunPlan { life: Life { generation, resume_tick: from, ..plan.life }, ..plan.clone() }
 }
 
@@ -368,7 +374,7 @@ fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
     let first = plan(&[]);
     let other_run = of_history(8, &first);
     for (plan, what) in [
-        (later(&first, 1, Some(4)), "a later learner"),
+        (later(&first, 1, Some(4.into())), "a later learner"),
         (later(&first, 1, None), "a later learner, from the beginning"),
         (other_run, "another run"),
     ] {
@@ -380,14 +386,14 @@ fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
         let loaded =
             load(&directory(dir.path(), 6), &plan.experiment, demonstration(&plan.experiment)).unwrap();
         assert!(everything(&loaded.agent) == everything(&own), "{what}");
-        assert_eq!(newest_resumable(dir.path(), &plan).unwrap().unwrap().0, 6, "{what}");
+        assert_eq!(newest_resumable(dir.path(), &plan).unwrap().unwrap().0, 6.into(), "{what}");
     }
     // What a learner has gone on from is the same cut, whoever wrote it.
     let (dir, _) = run(&first, &[4, 6]);
-    let mut saver = Saver::after(dir.path(), 6).unwrap();
+    let mut saver = Saver::after(dir.path(), 6.into()).unwrap();
     let written = || fs::metadata(directory(dir.path(), 6).join(MANIFEST)).unwrap().modified().unwrap();
     let before = written();
-    let next = later(&first, 1, Some(6));
+    let next = later(&first, 1, Some(6.into()));
     let again =
         load(&directory(dir.path(), 6), &next.experiment, demonstration(&next.experiment)).unwrap().agent;
     save(&mut saver, &next, 6, &again).unwrap();
@@ -399,19 +405,19 @@ fn a_run_that_has_gone_back_leaves_what_came_after() {
     let first = plan(&["checkpoint.keep=9"]);
     let (dir, _) = run(&first, &[4, 6, 8]);
     let newest = |plan: &RunPlan| newest_resumable(dir.path(), plan).unwrap().map(|(tick, _)| tick);
-    assert_eq!(newest(&first), Some(8));
+    assert_eq!(newest(&first), Some(8.into()));
     // As after damage to 6 and 8 that is not there any more when somebody looks again.
-    let second = later(&first, 1, Some(4));
-    assert_eq!(newest(&second), Some(4));
+    let second = later(&first, 1, Some(4.into()));
+    assert_eq!(newest(&second), Some(4.into()));
     let mut agent =
         load(&directory(dir.path(), 4), &second.experiment, demonstration(&second.experiment)).unwrap().agent;
     live(&mut agent, &mut World::new(&second.experiment, 77), second.experiment.config.run.actors, 3);
-    let mut saver = Saver::after(dir.path(), 4).unwrap();
+    let mut saver = Saver::after(dir.path(), 4.into()).unwrap();
     save(&mut saver, &second, 7, &agent).unwrap();
-    assert_eq!(newest(&second), Some(7));
-    assert_eq!(ticks(dir.path()).unwrap(), [7, 4], "6 and 8 are of another past");
+    assert_eq!(newest(&second), Some(7.into()));
+    assert_eq!(ticks(dir.path()).unwrap(), [7.into(), 4.into()], "6 and 8 are of another past");
     // The next one knows both.
-    assert_eq!(newest(&later(&first, 2, Some(7))), Some(7));
+    assert_eq!(newest(&later(&first, 2, Some(7.into()))), Some(7.into()));
     // From the beginning, there is nothing before it.
     assert_eq!(newest(&later(&first, 2, None)), None);
     assert_eq!(newest(&of_history(8, &second)), None);
@@ -421,7 +427,7 @@ fn a_run_that_has_gone_back_leaves_what_came_after() {
 fn segments_of_another_learner_are_never_linked() {
     let plan = plan(&["learner.replay=640", "checkpoint.keep=9"]);
     let (dir, mut agent) = run(&plan, &[20]);
-    let mut saver = Saver::after(dir.path(), 20).unwrap();
+    let mut saver = Saver::after(dir.path(), 20.into()).unwrap();
     // Somebody else puts another checkpoint in its place: of the same sizes, under the same names.
     let rival = later(&plan, 1, None);
     save(&mut Saver::new(dir.path()), &rival, 20, &other_agent(&rival, 20)).unwrap();
@@ -437,10 +443,12 @@ fn checkpoints_tell_whose_they_are_where_the_plan_is_lost() {
     let (dir, agent) = run(&first, &[4]);
     let experiment = &first.experiment;
     assert_eq!(newest_life(dir.path(), &plan(&["run.seed=77"]).experiment).unwrap(), None);
-    let life = |generation, tick| Some(Life { run: 0, generation, resume_tick: Some(tick), ..first.life });
+    let life = |generation, tick: u64| {
+        Some(Life { run: 0, generation, resume_tick: Some(tick.into()), ..first.life })
+    };
     assert_eq!(newest_life(dir.path(), experiment).unwrap(), life(0, 4));
-    let next = later(&first, 3, Some(4));
-    save(&mut Saver::after(dir.path(), 4).unwrap(), &next, 6, &agent).unwrap();
+    let next = later(&first, 3, Some(4.into()));
+    save(&mut Saver::after(dir.path(), 4.into()).unwrap(), &next, 6, &agent).unwrap();
     assert_eq!(newest_life(dir.path(), experiment).unwrap(), life(3, 6));
     assert_eq!(newest_life(&dir.path().join("none"), experiment).unwrap(), None);
 }
@@ -460,7 +468,7 @@ fn a_checkpoint_that_does_not_say_whose_it_is_gives_its_weights_alone() {
     fs::write(checkpoint.join(MANIFEST), &text).unwrap();
     fs::write(checkpoint.join(COMPLETE), manifest::seal(text.as_bytes())).unwrap();
     assert_eq!(load_model(&checkpoint, agent.network().layout()).unwrap(), agent.weights());
-    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 6);
+    assert_eq!(newest_complete(dir.path()).unwrap().unwrap().0, 6.into());
     assert_eq!(newest_resumable(dir.path(), &plan).unwrap(), None);
     assert_eq!(newest_life(dir.path(), &plan.experiment).unwrap(), None);
 }

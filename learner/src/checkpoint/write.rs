@@ -18,6 +18,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::observe::Part;
 use trestle_proto::own_file;
 use trestle_proto::plan::Life;
+use trestle_proto::round::Round;
 use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
 
 /// When a checkpoint is taken.
@@ -39,7 +40,7 @@ pub struct Cut<'a> {
     /// The learner that takes it.
     pub life: &'a Life,
     /// The tick.
-    pub tick: u64,
+    pub tick: Round,
     /// The agent after it.
     pub agent: &'a Agent,
     /// What each actor gave of itself.
@@ -163,7 +164,7 @@ impl Frozen {
     }
 
     /// The tick of the cut.
-    pub(super) fn tick(&self) -> u64 {
+    pub(super) fn tick(&self) -> Round {
         self.manifest.tick
     }
 
@@ -252,7 +253,7 @@ fn frame<T: Serialize>(name: &str, kind: Kind, value: &T) -> Result<(String, Vec
 
 /// Makes `last` name the checkpoint of `tick`, in one step: a link to it or, where the file system has none, a file with the
 /// path in it.
-fn link_last(run_dir: &Path, tick: u64) -> Result<(), CheckpointError> {
+fn link_last(run_dir: &Path, tick: Round) -> Result<(), CheckpointError> {
     let (last, scratch) = (run_dir.join(LAST_LINK), run_dir.join(format!("{SCRATCH}{LAST_LINK}")));
     match fs::remove_file(&scratch) {
         Err(e) if e.kind() != ErrorKind::NotFound => return Err(io(&scratch, "remove")(e)),

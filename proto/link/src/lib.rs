@@ -25,6 +25,7 @@ use trestle_proto::observe::{Answers, ObserveAnswer, ObserveError, ObserveReques
 use trestle_proto::orders::{Orders, OrdersError};
 use trestle_proto::query::{QueryAnswer, QueryRequest};
 use trestle_proto::reply::Reply;
+use trestle_proto::round::Round;
 
 /// A message that could not be sent, received or believed.
 #[derive(Debug, thiserror::Error)]
@@ -114,7 +115,7 @@ pub trait ActorLink {
     fn recv_orders(&mut self, timeout: Duration) -> Result<Option<Orders>, LinkError>;
     /// What has been published last to act with, checked, and its version; none if nothing of the learner's start
     /// `generation`, of version `at_least` or later, has come yet.
-    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError>;
+    fn acting(&mut self, generation: u16, at_least: Round) -> Result<Option<(Round, &Acting)>, LinkError>;
     /// Sends one batch.
     fn send_batch(&mut self, batch: &Batch) -> Result<(), LinkError>;
     /// Sends an evaluation or a snapshot.
@@ -137,7 +138,7 @@ pub trait LearnerLink {
     /// mentor-server alone, for as long as it takes: actors may come at any time.
     fn welcome(&mut self, stop: Stop<'_>) -> Result<(), LinkError>;
     /// Publishes what actors are to act with; they see the newest only.
-    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError>;
+    fn send_acting(&mut self, version: Round, acting: &Acting) -> Result<(), LinkError>;
     /// Gives orders to the actors, who see the newest only.
     fn send_orders(&mut self, orders: &Orders) -> Result<(), LinkError>;
     /// Whether a new mentor-server waits to be let in; never in lockstep.

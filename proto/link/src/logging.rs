@@ -11,6 +11,7 @@ use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
 use tracing_subscriber::registry::LookupSpan;
+use trestle_proto::round::Round;
 
 static TICK: AtomicU64 = AtomicU64::new(0);
 static WHO: OnceLock<Who> = OnceLock::new();
@@ -23,8 +24,8 @@ struct Who {
 }
 
 /// Says at which tick this process is; every later line carries it.
-pub fn set_tick(tick: u64) {
-    TICK.store(tick, Ordering::Relaxed);
+pub fn set_tick(tick: Round) {
+    TICK.store(tick.into(), Ordering::Relaxed);
 }
 
 /// Starts logging for this process, at `level` unless `RUST_LOG` says otherwise: `info` where a file takes the lines,

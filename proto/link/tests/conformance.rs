@@ -21,6 +21,7 @@ use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{QueryRequest, SIMILAR, STATS};
 use trestle_proto::reply::{ACTOR_STATE, Reply, ReplyHeader};
+use trestle_proto::round::Round;
 
 /// Makes a test of each property for each transport.
 macro_rules! conformance {
@@ -62,15 +63,16 @@ fn never() -> bool {
     false
 }
 
-fn acting(version: u64) -> Acting {
-    Acting::of_weights((0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + version as f32 / 100.0).collect())
+fn acting(version: Round) -> Acting {
+    let mark = u64::from(version) as f32 / 100.0;
+    Acting::of_weights((0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + mark).collect())
 }
 
-fn batch_of(run: u64, round: u64, actor: u32, mark: f32) -> Batch {
+fn batch_of(run: u64, round: Round, actor: u32, mark: f32) -> Batch {
     let mut batch = Batch::with_capacity(4, 2);
     batch.prepare(BatchHeader { run, round, actor, count: 4, obs_dim: 2, ..Default::default() });
     for i in 0..4 {
-        let (obs, next) = ([actor as f32, round as f32], [i as f32, mark]);
+        let (obs, next) = ([actor as f32, u64::from(round) as f32], [i as f32, mark]);
         let flags = if i == 0 { FIRST } else { 0 };
         batch.set(i, &Transition { obs: &obs, next_obs: &next, action: actor, reward: 0.5, flags });
     }
@@ -190,10 +192,11 @@ fn messages_arrive_whole_and_in_order<T: Transport + Sync>(transport: &T) {
         let mut batches = vec![Checked::with_capacity(4, 2); ACTORS as usize];
         let (mut spare, mut answers) = (Checked::<Batch>::default(), Answers::default());
         let mut orders = Orders { run, ..Orders::default() };
-        for round in 1..=200u64 {
-            (orders.round, orders.weights_version) = (round, round - 1);
-            link.send_acting(round - 1, &acting(round - 1)).unwrap();
-            orders.shares[..ACTORS as usize].fill(Share { granted: round, ..Share::default() });
+        for round in (1..=200).map(Round::from) {
+            let before = round.before(1);
+            (orders.round, orders.weights_version) = (round, before);
+            link.send_acting(before, &acting(before)).unwrap();
+            orders.shares[..ACTORS as usize].fill(Share { granted: round.into(), ..Share::default() });
             link.send_orders(&orders).unwrap();
             for missing in (1..=ACTORS).rev() {
                 match link.recv(&mut spare, missing, LONG).unwrap().expect("a batch in time") {
@@ -205,13 +208,13 @@ fn messages_arrive_whole_and_in_order<T: Transport + Sync>(transport: &T) {
                 }
             }
             for (actor, batch) in batches.iter().enumerate() {
-                let sent = batch_of(run, round, actor as u32, acting(round - 1).weights[0]);
+                let sent = batch_of(run, round, actor as u32, acting(before).weights[0]);
                 assert_eq!((batch.header, batch.payload()), (sent.header, sent.payload()));
             }
             let request = ObserveRequest {
                 run,
                 round,
-                first_index: round,
+                first_index: round.into(),
                 op: OBSERVE,
                 count: ACTORS,
                 obs_dim: 2,
@@ -238,7 +241,7 @@ fn messages_arrive_whole_and_in_order<T: Transport + Sync>(transport: &T) {
 fn a_refusal_is_the_mentor_servers_own<T: Transport + Sync>(transport: &T) {
     played(transport, "lockstep", |plan, mut link| {
         let run = plan.life.run;
-        let (sent, mut batch) = (batch_of(run, 1, 0, 0.0), Checked::<Batch>::default());
+        let (sent, mut batch) = (batch_of(run, Round::from(1), 0, 0.0), Checked::<Batch>::default());
         batch.receive(sent.header, sent.payload(), &plan.experiment.spaces()).unwrap();
         let far = ObserveRequest {
             run,
@@ -310,7 +313,7 @@ fn an_actor_learns_of_the_learners_end<T: Transport + Sync>(transport: &T) {
                 link.hello(&never).unwrap();
                 while link.recv_orders(LONG).unwrap().is_none_or(|orders| orders.stop == 0) {}
                 // The learner is on its way out.
-                let batch = batch_of(plan.life.run, 0, index, 0.0);
+                let batch = batch_of(plan.life.run, Round::default(), index, 0.0);
                 let sent = (0..1000).find_map(|_| {
                     thread::yield_now();
                     link.recv_orders(Duration::from_millis(10)).unwrap();
@@ -357,7 +360,7 @@ fn in_free_mode_a_late_actor_gets_what_is_newest<T: Transport + Sync>(transport:
         let mut learner = transport.learner(plan).unwrap();
         learner.welcome(&never).unwrap();
         let mut orders = Orders { run: plan.life.run, ..Orders::default() };
-        for round in 1..=3 {
+        for round in (1..=3).map(Round::from) {
             (orders.round, orders.weights_version) = (round, round);
             learner.send_acting(round, &acting(round)).unwrap();
             learner.send_orders(&orders).unwrap();
@@ -365,7 +368,7 @@ fn in_free_mode_a_late_actor_gets_what_is_newest<T: Transport + Sync>(transport:
         scope.spawn(move || act(transport.actor(plan, 0).unwrap(), 0));
         let mut batch = Checked::<Batch>::default();
         assert_eq!(learner.recv(&mut batch, 1, LONG).unwrap(), Some(FromActor::Batch));
-        let sent = batch_of(plan.life.run, 3, 0, acting(3).weights[0]);
+        let sent = batch_of(plan.life.run, Round::from(3), 0, acting(Round::from(3)).weights[0]);
         assert_eq!((batch.header, batch.payload()), (sent.header, sent.payload()));
         stop(plan, &mut learner);
     });

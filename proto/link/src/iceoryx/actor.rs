@@ -14,6 +14,7 @@ use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::orders::Orders;
 use trestle_proto::reply::{Reply, ReplyHeader};
+use trestle_proto::round::Round;
 
 /// Room made in advance for a reply, bytes; a larger one makes the memory grow.
 const REPLY_BYTES: usize = 4096;
@@ -24,7 +25,7 @@ pub struct IceoryxActor {
     index: usize,
     weights: Subscriber<Ipc, [u32], Wire<ActingHeader>>,
     /// Generation and version of the newest weights received, and they themselves, kept because they may be acted with again.
-    newest: Option<(u32, u64)>,
+    newest: Option<(u32, Round)>,
     copy: Acting,
     orders: Subscriber<Ipc, [u8], Wire<Orders>>,
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
@@ -121,7 +122,7 @@ impl ActorLink for IceoryxActor {
         self.ear.wait(timeout, || self.try_orders())
     }
 
-    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError> {
+    fn acting(&mut self, generation: u16, at_least: Round) -> Result<Option<(Round, &Acting)>, LinkError> {
         self.update_weights()?;
         let newest = self.newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &self.copy)))

@@ -18,6 +18,7 @@ use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
 use trestle_proto::orders::Orders;
 use trestle_proto::query::{QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::{Reply, ReplyHeader};
+use trestle_proto::round::Round;
 
 /// The learner over shared memory.
 #[derive(Debug)]
@@ -304,7 +305,7 @@ impl LearnerLink for IceoryxLearner {
         self.services.bells.ring_actors(concerned)
     }
 
-    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
+    fn send_acting(&mut self, version: Round, acting: &Acting) -> Result<(), LinkError> {
         let words = acting.words();
         let mut sample = self.weights.loan_slice(words).map_err(failed("loaning memory for weights"))?;
         acting.write(sample.payload_mut());

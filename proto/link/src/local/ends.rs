@@ -11,6 +11,7 @@ use trestle_proto::orders::Orders;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{OK, QueryAnswer, QueryRequest, status_text};
 use trestle_proto::reply::Reply;
+use trestle_proto::round::Round;
 
 /// An actor's end.
 #[derive(Debug)]
@@ -137,7 +138,7 @@ impl<P: Place> LocalActor<P> {
     }
 
     /// Takes over what was published last; returns its generation and version.
-    fn update(&mut self) -> Result<Option<(u32, u64)>, LinkError> {
+    fn update(&mut self) -> Result<Option<(u32, Round)>, LinkError> {
         let Self { place, run, sizes, room, copy, .. } = self;
         place.with(|wire, _| {
             let Some((header, payload)) = &wire.published else { return Ok(None) };
@@ -183,7 +184,7 @@ impl<P: Place> ActorLink for LocalActor<P> {
         Ok(Some(orders))
     }
 
-    fn acting(&mut self, generation: u16, at_least: u64) -> Result<Option<(u64, &Acting)>, LinkError> {
+    fn acting(&mut self, generation: u16, at_least: Round) -> Result<Option<(Round, &Acting)>, LinkError> {
         self.place.step()?;
         let newest = self.update()?;
         let newest = newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
@@ -250,7 +251,7 @@ impl<P: Place> LearnerLink for LocalLearner<P> {
         }
     }
 
-    fn send_acting(&mut self, version: u64, acting: &Acting) -> Result<(), LinkError> {
+    fn send_acting(&mut self, version: Round, acting: &Acting) -> Result<(), LinkError> {
         self.place.step()?;
         let header = ActingHeader::new(self.run, self.generation, version, &self.sizes, acting);
         let mut payload = vec![0; acting.words()];
