@@ -16,9 +16,9 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use trestle_learner::checkpoint;
-use trestle_learner::record::RunResult;
 use trestle_link::iceoryx::Domain;
 use trestle_proto::round::Round;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 
 /// The program under test.

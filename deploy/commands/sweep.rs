@@ -14,9 +14,9 @@ use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
 use anyhow::{Context, Result, bail, ensure};
 use std::collections::BTreeSet;
 use trestle_actor::env::registry;
-use trestle_learner::record::RunResult;
 use trestle_link::logging;
 use trestle_proto::config::Mode;
+use trestle_proto::run_result::RunResult;
 use trestle_report::stats::median;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {

@@ -11,9 +11,9 @@ use anyhow::{Result, ensure};
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
-use trestle_learner::record::RunResult;
 use trestle_link::logging;
 use trestle_proto::config::{self, Config, Environments, Mode};
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 use trestle_report::effect::Effect;
 
@@ -166,7 +166,7 @@ fn report(out: &mut impl Write, r: &RunResult, root: &Path, quiet: bool) -> io::
         "  {} episodes, {} environment steps, {} gradient steps in {:.1} s",
         r.episodes, r.env_steps, r.grad_steps, r.wall_s
     )?;
-    if let Some(effect) = Effect::new(r.mentor_feasible_frac, r.mentor_bridged_frac, r.mentor_loss_frac) {
+    if let Some(effect) = Effect::of(r) {
         match effect.warning() {
             Some(warning) => writeln!(out, "  warning: {warning}")?,
             None => writeln!(out, "  mentor   {effect}")?,

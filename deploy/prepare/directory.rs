@@ -21,7 +21,6 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
-use trestle_learner::record::RunResult;
 use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
@@ -29,6 +28,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::regular_file;
 use trestle_proto::round::Round;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
 /// Largest `result.json` that is read, bytes.

@@ -35,9 +35,10 @@ use std::ops::ControlFlow;
 use std::process::ExitStatus;
 use std::time::Instant;
 use tokio::sync::mpsc;
-use trestle_learner::record::{Progress, RunResult};
+use trestle_learner::record::Progress;
 use trestle_link::{Host, Transport};
 use trestle_proto::limits::GRACE;
+use trestle_proto::run_result::RunResult;
 
 /// How a run ended.
 pub(crate) enum Ended {

@@ -28,8 +28,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tokio::task::{JoinSet, LocalSet};
 use trestle_actor::env::registry;
-use trestle_learner::record::RunResult;
 use trestle_proto::config::{self, Config};
+use trestle_proto::run_result::RunResult;
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;

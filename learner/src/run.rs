@@ -12,7 +12,7 @@
 //! may itself have taken another's place: then the actors learn of it from its first orders, and announce themselves anew.
 
 use crate::checkpoint::Taken;
-use crate::record::{Progress, RunResult};
+use crate::record::Progress;
 use crate::session::{Resumed, Session, SessionError};
 use std::time::{Duration, Instant};
 use trestle_link::{FromActor, LearnerLink, LinkError, Stop, logging, pulse};
@@ -30,6 +30,7 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{NOT_READY, QueryRequest, TRANSITIONS, status_text};
 use trestle_proto::reply::{ACTOR_STATE, EVALUATION, EVALUATION_KIND, Evaluation, JOINED, Reply};
 use trestle_proto::round::Round;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 
 /// What ends the learner's process early.

@@ -6,9 +6,8 @@
 
 use crate::checkpoint::{self, BestEvaluation, CheckpointError, Cut, Saver, Taken};
 use crate::record::{
-    ActorRow, Gauges, Goal, GuideGauges, Limits, METRICS_EVERY, MentorGauges, Outcome, PROGRESS_EVERY,
-    Progress, RecordError, Recorder, RecorderState, RunResult, Settings, Staleness, write_actors,
-    write_mentor,
+    ActorRow, Ending, Gauges, Goal, GuideGauges, Limits, METRICS_EVERY, MentorGauges, PROGRESS_EVERY,
+    Progress, RecordError, Recorder, RecorderState, Settings, Staleness, write_actors, write_mentor,
 };
 use crate::timeline::Timeline;
 use serde::{Deserialize, Serialize};
@@ -28,6 +27,7 @@ use trestle_proto::observe::Observed;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::reply::Evaluation;
 use trestle_proto::round::Round;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
@@ -508,9 +508,9 @@ impl<'a> Session<'a> {
         let samples = counters.grad_steps * self.experiment.config.learner.batch as u64;
         let mentor_samples =
             self.agent.mentor_summary(0..self.experiment.mentor_len()).map(|mentor| [samples, mentor.used]);
-        let outcome =
-            Outcome { weights_sha256: self.agent.weights_sha256(), restarts, interrupted, mentor_samples };
-        Ok(self.recorder.finish(&counters, &gauges, outcome)?)
+        let ending =
+            Ending { weights_sha256: self.agent.weights_sha256(), restarts, interrupted, mentor_samples };
+        Ok(self.recorder.finish(&counters, &gauges, ending)?)
     }
 
     /// Brings `mentor.csv` and `actors.csv` up to date.

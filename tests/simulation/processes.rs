@@ -25,7 +25,6 @@ use std::sync::Arc;
 use std::time::Instant;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
-use trestle_learner::record::RunResult;
 use trestle_link::LinkError;
 use trestle_link::iceoryx::{Domain, HeldDomain};
 use trestle_link::local::{LocalActor, LocalLearner, LocalMentor, Wire};
@@ -33,6 +32,7 @@ use trestle_mentor_server::demo_file;
 use trestle_proto::config::Config;
 use trestle_proto::limits::{BLAME, GRACE};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 
 /// Files that the model of the services makes in shared memory.

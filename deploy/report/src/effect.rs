@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 use std::fmt;
+use trestle_proto::run_result::RunResult;
 
 /// A mentor whose loss trained fewer of the samples than this has next to no effect.
 pub const LEAST_LOSS: f64 = 0.01;
@@ -22,10 +23,10 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// The effect that the keys `mentor_feasible_frac`, `mentor_bridged_frac` and `mentor_loss_frac` of a `result.json` tell
-    /// of; none without a mentor or a gradient step.
-    pub fn new(feasible: Option<f64>, bridged: Option<f64>, loss: Option<f64>) -> Option<Self> {
-        Some(Self { feasible_frac: feasible?, bridged_frac: bridged?, loss_frac: loss? })
+    /// The effect that `result` tells of; none without a mentor or a gradient step, and none of a version that did not count it.
+    pub fn of(result: &RunResult) -> Option<Self> {
+        let (feasible, bridged) = (result.mentor_feasible_frac?, result.mentor_bridged_frac?);
+        Some(Self { feasible_frac: feasible, bridged_frac: bridged, loss_frac: result.mentor_loss_frac? })
     }
 
     /// The mean of `effects`; none of none.
@@ -67,7 +68,15 @@ mod tests {
 
     #[test]
     fn next_to_nothing_is_said_with_figures_and_settings() {
-        let effect = Effect::new(Some(0.0), Some(0.125), Some(0.008)).unwrap();
+        let of = |bridged| {
+            Effect::of(&RunResult {
+                mentor_feasible_frac: Some(0.0),
+                mentor_bridged_frac: bridged,
+                mentor_loss_frac: Some(0.008),
+                ..RunResult::default()
+            })
+        };
+        let effect = of(Some(0.125)).unwrap();
         let warning = effect.warning().unwrap();
         assert!(
             warning.contains("0.0 % of its transitions feasible, 12.5 % bridged, its loss in 0.8 %"),
@@ -75,7 +84,7 @@ mod tests {
         );
         assert!(warning.contains("mentor.e_infeas, mentor.e_th"), "{warning}");
         assert_eq!(Effect { loss_frac: LEAST_LOSS, ..effect }.warning(), None);
-        assert_eq!(Effect::new(Some(0.0), None, Some(0.0)), None);
+        assert_eq!(of(None), None);
     }
 
     #[test]

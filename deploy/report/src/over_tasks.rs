@@ -155,7 +155,7 @@ impl Pair<'_> {
 /// The figures over `tasks`; none unless two tasks or more have complete runs of a baseline (`dqn`, or else the first arm) and of
 /// another arm.
 pub fn overview(tasks: &[Task<'_>]) -> Option<Overview> {
-    let complete = |group: &&Group<'_>| group.outcomes().next().is_some();
+    let complete = |group: &&Group<'_>| group.results().next().is_some();
     let mut names: Vec<&str> =
         tasks.iter().flat_map(|task| task.groups.iter().filter(complete).map(|group| group.arm)).collect();
     names.sort_by_key(|arm| order(arm));

@@ -185,7 +185,7 @@ fn run_table(runs: &[Run], from: &Path) -> String {
     );
     let number = |value: Option<f64>| value.map_or("-".into(), |value| group(value, 2));
     for run in runs {
-        let of = run.outcome.as_ref();
+        let of = run.result.as_ref();
         let count = |value: Option<u64>| value.map_or("-".into(), |value| group(value as f64, 0));
         let state = match (of, run.complete()) {
             (_, Some(_)) => "complete",

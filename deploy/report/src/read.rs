@@ -4,7 +4,6 @@
 //! single run can spoil the others'. Memory does not grow with a run's length: a series that gets longer than
 //! [`MAX_POINTS`] is thinned out to every second point, and so on.
 
-use crate::effect::Effect;
 use serde::Deserialize;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,6 +14,7 @@ use std::time::UNIX_EPOCH;
 use trestle_proto::config::{self, Config};
 use trestle_proto::limits::MAX_TEXT_BYTES;
 use trestle_proto::regular_file::{self, FileError};
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 
 /// Points that are kept of a series, at most.
@@ -63,52 +63,6 @@ pub enum ReadError {
         /// The directory.
         path: PathBuf,
     },
-}
-
-/// The contents of `result.json`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct Outcome {
-    /// Name of the environment.
-    pub env: String,
-    /// Finished training episodes.
-    pub episodes: u64,
-    /// Environment steps.
-    pub env_steps: u64,
-    /// Gradient steps.
-    pub grad_steps: u64,
-    /// Seconds of training.
-    pub wall_s: f64,
-    /// Episode and environment steps of "solved".
-    pub solved_episode: Option<u64>,
-    /// See `solved_episode`.
-    pub solved_env_steps: Option<u64>,
-    /// Episode and environment steps of "optimal".
-    pub optimal_episode: Option<u64>,
-    /// See `optimal_episode`.
-    pub optimal_env_steps: Option<u64>,
-    /// Return that counts as optimal.
-    pub threshold: Option<f64>,
-    /// Highest return of an evaluation.
-    pub best_return: Option<f64>,
-    /// Return of the last evaluation.
-    pub final_return: Option<f64>,
-    /// SHA-256 of the final weights.
-    pub weights_sha256: Option<String>,
-    /// Whether the run ended before its limits.
-    pub interrupted: bool,
-    /// Share of the mentor's transitions that are feasible, and bridged, at the end; none without a mentor.
-    pub mentor_feasible_frac: Option<f64>,
-    /// See `mentor_feasible_frac`.
-    pub mentor_bridged_frac: Option<f64>,
-    /// Share of the samples of gradient steps that were trained with the mentor's loss.
-    pub mentor_loss_frac: Option<f64>,
-}
-
-impl Outcome {
-    /// How much of the mentor reached the training, where the run has one and says so.
-    pub fn effect(&self) -> Option<Effect> {
-        Effect::new(self.mentor_feasible_frac, self.mentor_bridged_frac, self.mentor_loss_frac)
-    }
 }
 
 /// A number that was recorded at some point of a run.
@@ -193,8 +147,8 @@ pub struct Run {
     pub commit: String,
     /// When its result was written, seconds since 1970; none without a result.
     pub finished: Option<u64>,
-    /// Its outcome, if it has one.
-    pub outcome: Option<Outcome>,
+    /// Its result, if it has one.
+    pub result: Option<RunResult>,
     /// Return of the greedy evaluations.
     pub evaluations: Series,
     /// Mean return of the last 100 training episodes.
@@ -208,9 +162,9 @@ pub struct Run {
 }
 
 impl Run {
-    /// Its outcome, if it has run its whole length.
-    pub fn complete(&self) -> Option<&Outcome> {
-        self.outcome.as_ref().filter(|outcome| !outcome.interrupted)
+    /// Its result, if it has run its whole length.
+    pub fn complete(&self) -> Option<&RunResult> {
+        self.result.as_ref().filter(|result| !result.interrupted)
     }
 }
 
@@ -281,7 +235,7 @@ fn leave_out_copies(root: &Path, runs: &mut Vec<Run>, notes: &mut Vec<String>) {
     let mut by_weights: BTreeMap<(String, String, u64, String), PathBuf> = BTreeMap::new();
     runs.retain(|run| {
         let seed = run.config.run.seed;
-        let weights = run.outcome.as_ref().and_then(|outcome| outcome.weights_sha256.clone());
+        let weights = run.result.as_ref().map(|result| result.weights_sha256.clone());
         let weights = weights.map(|weights| (run.task.clone(), run.arm.clone(), seed, weights));
         let same_start = run.start.and_then(|start| by_start.get(&start));
         let same_weights = weights.as_ref().and_then(|weights| by_weights.get(weights));
@@ -360,7 +314,7 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
     let file = dir.config();
     let text = regular_file::read_to_string(&file, MAX_TEXT_BYTES).map_err(|e| e.to_string())?;
     let config = config::parse_toml(&file.display().to_string(), &text).map_err(|e| e.to_string())?;
-    let outcome: Option<Outcome> = match regular_file::read(&dir.result(), MAX_RESULT) {
+    let result: Option<RunResult> = match regular_file::read(&dir.result(), MAX_RESULT) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .map_err(|e| notes.push(format!("{} cannot be read: {e}", dir.result().display())))
             .ok(),
@@ -371,8 +325,8 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
         }
     };
     let start = plan.as_ref().ok().map(|plan| plan.life.run);
-    let task = match &outcome {
-        Some(outcome) => outcome.env.clone(),
+    let task = match &result {
+        Some(result) => result.env.clone(),
         None => plan.map(|plan| plan.experiment.spec.name).map_err(|e| e.to_string())?,
     };
     let Build { version, commit } = regular_file::read(&dir.build(), MAX_RESULT)
@@ -390,7 +344,7 @@ fn read_run(root: &Path, path: &Path, notes: &mut Vec<String>) -> Result<Run, St
         group: String::new(),
         start,
         config,
-        outcome,
+        result,
         evaluations: Series::default(),
         training: Series::default(),
         feasible: Series::default(),
@@ -536,10 +490,10 @@ mod tests {
         let run = |path: &str, arm: &str, start, weights: Option<&str>, seed| {
             let mut config = Config::default();
             config.run.seed = seed;
-            let text =
-                r#"{"env":"m","episodes":1,"env_steps":2,"grad_steps":3,"wall_s":4.0,"interrupted":false}"#;
-            let mut outcome: Outcome = serde_json::from_str(text).unwrap();
-            outcome.weights_sha256 = weights.map(String::from);
+            let text = r#"{"algo":"dqn","seed":1,"env":"m","episodes":1,"env_steps":2,"grad_steps":3,"wall_s":4.0,
+                "weights_sha256":"","restarts":0,"interrupted":false}"#;
+            let mut result: RunResult = serde_json::from_str(text).unwrap();
+            result.weights_sha256 = weights.unwrap_or_default().into();
             Run {
                 path: path.into(),
                 arm: arm.into(),
@@ -550,7 +504,7 @@ mod tests {
                 version: String::new(),
                 commit: String::new(),
                 finished: None,
-                outcome: weights.is_some().then_some(outcome),
+                result: weights.is_some().then_some(result),
                 evaluations: Series::default(),
                 training: Series::default(),
                 feasible: Series::default(),
@@ -597,7 +551,7 @@ mod tests {
             version: String::new(),
             commit: String::new(),
             finished: None,
-            outcome: None,
+            result: None,
             evaluations: Series::default(),
             training: Series::default(),
             feasible: Series::default(),

@@ -1,12 +1,13 @@
 //! Runs grouped by task and arm, with the figures of each group and of each pair of groups.
 
 use crate::effect::Effect;
-use crate::read::{Outcome, Run};
+use crate::read::Run;
 use crate::stats::{
     Estimate, improvement_interval, iqm_interval, mean, median_interval, ratio_interval, share,
     standard_deviation,
 };
 use serde::Serialize;
+use trestle_proto::run_result::RunResult;
 
 /// The plain algorithms come first, in this order.
 const FIRST: [&str; 4] = ["dqn", "diiqn", "ha-diiqn", "trestle"];
@@ -96,35 +97,35 @@ impl Time {
     }
 
     /// That of a complete run; infinite if it never got there.
-    pub fn of(self, outcome: &Outcome) -> f64 {
+    pub fn of(self, result: &RunResult) -> f64 {
         let found = match self {
-            Self::SolvedEpisode => outcome.solved_episode,
-            Self::SolvedEnvSteps => outcome.solved_env_steps,
-            Self::OptimalEpisode => outcome.optimal_episode,
-            Self::OptimalEnvSteps => outcome.optimal_env_steps,
+            Self::SolvedEpisode => result.solved_episode,
+            Self::SolvedEnvSteps => result.solved_env_steps,
+            Self::OptimalEpisode => result.optimal_episode,
+            Self::OptimalEnvSteps => result.optimal_env_steps,
         };
         found.map_or(f64::INFINITY, |n| n as f64)
     }
 
     /// How long the longest complete run of `task` was in the time's unit; 1 without any.
     pub fn longest(self, task: &Task<'_>) -> f64 {
-        let of = |outcome: &Outcome| match self {
-            Self::SolvedEpisode | Self::OptimalEpisode => outcome.episodes as f64,
-            Self::SolvedEnvSteps | Self::OptimalEnvSteps => outcome.env_steps as f64,
+        let of = |result: &RunResult| match self {
+            Self::SolvedEpisode | Self::OptimalEpisode => result.episodes as f64,
+            Self::SolvedEnvSteps | Self::OptimalEnvSteps => result.env_steps as f64,
         };
-        task.groups.iter().flat_map(Group::outcomes).map(of).fold(1.0, f64::max)
+        task.groups.iter().flat_map(Group::results).map(of).fold(1.0, f64::max)
     }
 }
 
 impl Group<'_> {
-    /// The outcomes of its complete runs.
-    pub fn outcomes(&self) -> impl Iterator<Item = &Outcome> {
+    /// The results of its complete runs.
+    pub fn results(&self) -> impl Iterator<Item = &RunResult> {
         self.runs.iter().filter_map(|run| run.complete())
     }
 
     /// `time` of its complete runs.
     pub fn times(&self, time: Time) -> Vec<f64> {
-        self.outcomes().map(|outcome| time.of(outcome)).collect()
+        self.results().map(|result| time.of(result)).collect()
     }
 }
 
@@ -196,10 +197,10 @@ pub fn arms(tasks: &[Task<'_>]) -> Vec<ArmSummary> {
 }
 
 fn arm(task: &str, group: &Group<'_>) -> ArmSummary {
-    let complete = group.outcomes().count();
-    let solved = group.outcomes().filter(|o| o.solved_episode.is_some()).count();
-    let optimal = group.outcomes().filter(|o| o.optimal_episode.is_some()).count();
-    let returns: Vec<f64> = group.outcomes().filter_map(|o| o.final_return).collect();
+    let complete = group.results().count();
+    let solved = group.results().filter(|o| o.solved_episode.is_some()).count();
+    let optimal = group.results().filter(|o| o.optimal_episode.is_some()).count();
+    let returns: Vec<f64> = group.results().filter_map(|o| o.final_return).collect();
     let times = Time::ALL.map(|time| TimeSummary { time, median: median_interval(&[group.times(time)]) });
     ArmSummary {
         task: task.into(),
@@ -214,9 +215,9 @@ fn arm(task: &str, group: &Group<'_>) -> ArmSummary {
         final_return_mean: mean(&returns),
         final_return_std: standard_deviation(&returns),
         final_return_iqm: iqm_interval(&[returns]),
-        env_steps: group.outcomes().map(|o| o.env_steps).sum(),
-        wall_s: group.outcomes().map(|o| o.wall_s).sum(),
-        mentor: Effect::mean(&group.outcomes().filter_map(Outcome::effect).collect::<Vec<_>>()),
+        env_steps: group.results().map(|o| o.env_steps).sum(),
+        wall_s: group.results().map(|o| o.wall_s).sum(),
+        mentor: Effect::mean(&group.results().filter_map(Effect::of).collect::<Vec<_>>()),
     }
 }
 
@@ -241,7 +242,7 @@ pub fn comparisons(tasks: &[Task<'_>]) -> Vec<Comparison> {
                 .iter()
                 .filter_map(|task| {
                     let find =
-                        |name| task.groups.iter().find(|g| g.arm == name && g.outcomes().next().is_some());
+                        |name| task.groups.iter().find(|g| g.arm == name && g.results().next().is_some());
                     Some((find(*arm)?, find(*with)?))
                 })
                 .collect();

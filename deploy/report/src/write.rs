@@ -198,7 +198,7 @@ fn slug(name: &str) -> String {
 }
 
 fn run_row(run: &Run) -> RunRow<'_> {
-    let of = run.outcome.as_ref();
+    let of = run.result.as_ref();
     RunRow {
         task: &run.task,
         arm: &run.arm,
@@ -467,7 +467,7 @@ impl Drawing<'_> {
 
     /// Learning curves.
     fn returns(&self, output: &mut Output<'_>) -> Result<(), WriteError> {
-        let threshold = self.task.groups.iter().flat_map(Group::outcomes).find_map(|o| o.threshold);
+        let threshold = self.task.groups.iter().flat_map(Group::results).find_map(|o| o.threshold);
         // Where no threshold was set, it is the best return that there can be.
         let set = self
             .task

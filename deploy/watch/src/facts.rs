@@ -3,9 +3,10 @@
 use crate::root::{Dir, Stamp};
 use crate::tail::last_lines;
 use serde::Serialize;
-use trestle_learner::record::{Goal, RunResult};
+use trestle_learner::record::Goal;
 use trestle_proto::config::{self, Config, Mode, Threshold};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{BUILD_FILE, COMMAND_FILE, CONFIG_FILE, PLAN_FILE, RESULT_FILE};
 
 /// Largest config.toml that is read, bytes.

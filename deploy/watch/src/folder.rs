@@ -14,7 +14,7 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::io;
 use std::time::{Duration, Instant};
-use trestle_learner::record::RunResult;
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{EVALS_FILE, LOGS_DIR, METRICS_FILE, RESULT_FILE};
 
 /// Levels of directories in which runs are looked for.

@@ -10,7 +10,8 @@ use serde_json::json;
 use std::io;
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_algorithm::agent::Counters;
-use trestle_learner::record::{Limits, RunResult, seconds_left};
+use trestle_learner::record::{Limits, seconds_left};
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{
     ACTORS_FILE, CONFIG_FILE, EVALS_FILE, LOGS_DIR, METRICS_FILE, PLAN_FILE, RESULT_FILE,
 };

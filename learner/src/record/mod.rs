@@ -11,7 +11,7 @@
 //!     if recorder.interval_due():  recorder.interval(&counters, &gauges)
 //!     if recorder.progress_due():  print recorder.progress(&counters, &gauges)
 //!     at a checkpoint:             (state, files) = recorder.checkpoint(), to be kept in it, and to be synced before
-//! recorder.finish(&counters, &gauges, outcome)       writes result.json
+//! recorder.finish(&counters, &gauges, ending)       writes result.json
 //! ```
 //!
 //! A resumed run cuts `evals.csv` and `metrics.jsonl` back to the lines that its checkpoint counts, so that
@@ -36,7 +36,7 @@ pub use error::RecordError;
 pub use mentor::write_mentor;
 pub use metrics::{Gauges, GuideGauges, MentorGauges, WINDOW};
 pub use progress::{Limits, Progress, seconds_left};
-pub use result::{RunResult, write_result};
+pub use result::write_result;
 pub use solved::{CONSECUTIVE, Goal, Moment, Standing};
 
 use crate::checkpoint::Unsynced;
@@ -48,6 +48,7 @@ use std::time::{Duration, Instant};
 use tensorboard::EventWriter;
 use thinning::{EPISODES, EVALUATIONS, INTERVALS, is_kept, stride};
 use trestle_algorithm::agent::{Counters, Episode};
+use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 
 /// Time between interval rows, as a loop that has no reason for another would set it.
@@ -90,7 +91,7 @@ pub struct RecorderState {
 
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Outcome {
+pub struct Ending {
     /// SHA-256 of the final weights, in hexadecimal.
     pub weights_sha256: String,
     /// How many times the run was started again after a process of it had died.
@@ -298,7 +299,7 @@ impl Recorder {
         mut self,
         counters: &Counters,
         gauges: &Gauges,
-        outcome: Outcome,
+        ending: Ending,
     ) -> Result<RunResult, RecordError> {
         let wall_s = self.wall_s();
         self.interval(counters, gauges)?;
@@ -318,12 +319,12 @@ impl Recorder {
             threshold: self.settings.goal.map(|goal| goal.threshold),
             best_return: self.standing.best_return(),
             final_return: self.standing.final_return(),
-            weights_sha256: outcome.weights_sha256,
-            restarts: outcome.restarts,
-            interrupted: outcome.interrupted,
+            weights_sha256: ending.weights_sha256,
+            restarts: ending.restarts,
+            interrupted: ending.interrupted,
             mentor_feasible_frac: known(gauges.feasible_frac),
             mentor_bridged_frac: known(gauges.bridged_frac),
-            mentor_loss_frac: outcome.mentor_samples.and_then(|[all, used]| known(used as f64 / all as f64)),
+            mentor_loss_frac: ending.mentor_samples.and_then(|[all, used]| known(used as f64 / all as f64)),
         };
         write_result(&self.dir, &result)?;
         Ok(result)

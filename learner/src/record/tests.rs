@@ -41,8 +41,8 @@ fn play(recorder: &mut Recorder, ticks: std::ops::RangeInclusive<u64>) {
     }
 }
 
-fn outcome() -> Outcome {
-    Outcome { weights_sha256: "ab".into(), restarts: 0, interrupted: false, mentor_samples: Some([400, 3]) }
+fn ending() -> Ending {
+    Ending { weights_sha256: "ab".into(), restarts: 0, interrupted: false, mentor_samples: Some([400, 3]) }
 }
 
 /// `evals.csv` without the column `wall_s`.
@@ -76,7 +76,7 @@ fn files_hold_what_was_recorded() {
     play(&mut recorder, 1..=4);
     let one = [Episode { total_reward: -3.4, length: 35, success: Some(true) }];
     recorder.evaluation(&at(5), &one).unwrap();
-    let result = recorder.finish(&at(5), &Gauges::default(), outcome()).unwrap();
+    let result = recorder.finish(&at(5), &Gauges::default(), ending()).unwrap();
 
     let text = std::fs::read_to_string(dir.path().join(EVALS_FILE)).unwrap();
     assert_eq!(text.lines().next(), Some("episode,env_steps,grad_steps,wall_s,return,length,success"));
@@ -107,7 +107,7 @@ fn an_interruption_leaves_no_trace() {
     let undisturbed = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::create(undisturbed.path(), settings(goal)).unwrap();
     play(&mut recorder, 1..=40);
-    let expected = recorder.finish(&at(40), &Gauges::default(), outcome()).unwrap();
+    let expected = recorder.finish(&at(40), &Gauges::default(), ending()).unwrap();
     assert_eq!((expected.solved_episode, expected.solved_env_steps), (Some(3), Some(30)));
 
     for checkpoint in [1, 3, 8, 12, 39] {
@@ -124,7 +124,7 @@ fn an_interruption_leaves_no_trace() {
         recorder.begin().unwrap();
         assert!(recorder.wall_s() >= before_s);
         play(&mut recorder, checkpoint + 1..=40);
-        let result = recorder.finish(&at(40), &Gauges::default(), outcome()).unwrap();
+        let result = recorder.finish(&at(40), &Gauges::default(), ending()).unwrap();
         assert_eq!(evals(dir.path()), evals(undisturbed.path()));
         assert_eq!(metrics(dir.path()), metrics(undisturbed.path()));
         assert_eq!(RunResult { wall_s: expected.wall_s, ..result }, expected);
@@ -191,7 +191,7 @@ fn logs_are_bounded() {
     let (undisturbed, resumed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut recorder = Recorder::create(undisturbed.path(), settings(None)).unwrap();
     play(&mut recorder, 1..=EPISODES_PLAYED);
-    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), outcome()).unwrap();
+    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), ending()).unwrap();
 
     let mut recorder = Recorder::create(resumed.path(), settings(None)).unwrap();
     play(&mut recorder, 1..=12_345);
@@ -200,7 +200,7 @@ fn logs_are_bounded() {
     drop(recorder);
     let mut recorder = Recorder::resume(resumed.path(), settings(None), state, at(12_345)).unwrap();
     play(&mut recorder, 12_346..=EPISODES_PLAYED);
-    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), outcome()).unwrap();
+    recorder.finish(&at(EPISODES_PLAYED), &Gauges::default(), ending()).unwrap();
 
     assert_eq!(evals(undisturbed.path()).len() as u64, EPISODES_PLAYED / 10 + 1);
     assert_eq!(evals(resumed.path()), evals(undisturbed.path()));
@@ -229,6 +229,6 @@ fn an_earlier_result_is_gone_from_the_beginning_on() {
     std::fs::write(&result, "of an earlier start").unwrap();
     recorder.begin().unwrap();
     assert!(!result.exists());
-    recorder.finish(&at(1), &Gauges::default(), outcome()).unwrap();
+    recorder.finish(&at(1), &Gauges::default(), ending()).unwrap();
     assert!(result.exists());
 }
