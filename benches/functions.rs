@@ -53,7 +53,7 @@ fn replay_sample(bencher: Bencher<'_, '_>) {
     let (mut rng, mut slots) = (stream(1, Purpose::Replay, 0), Vec::new());
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
         replay.sample(&mut rng, BATCH as usize, &mut slots);
-        slots.iter().map(|&slot| replay.get(slot as usize).transition.reward).sum::<f32>()
+        slots.iter().map(|&slot| replay.get(slot as usize).reward).sum::<f32>()
     });
 }
 

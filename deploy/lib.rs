@@ -48,5 +48,6 @@ pub use program::{BUILD, Program};
 pub use rand;
 pub use trestle_actor::env;
 pub use trestle_proto::rng::Stream;
+pub use trestle_proto::row::Element;
 pub use trestle_proto::space::EnvSpec;
 pub use trestle_proto::{choices, codec, config, settings};

@@ -68,7 +68,7 @@ fn words(bytes: &[u8]) -> Vec<u32> {
 fn messages(bytes: &[u8]) {
     let (header, payload) = message::<BatchHeader>(bytes);
     let (mut batch, spaces) =
-        (Checked::<Batch>::default(), Spaces { actors: 3, obs_dim: DIM, n_actions: ACTIONS });
+        (Checked::<Batch>::default(), Spaces { actors: 3, row: DIM.into(), n_actions: ACTIONS });
     if batch.receive(header, &payload, &spaces).is_ok() {
         for index in 0..batch.len() {
             let t = batch.transition(index);
@@ -99,7 +99,7 @@ fn messages(bytes: &[u8]) {
     let mut parts = &payload[..];
     while let Some(part) = Part::take(&mut parts, DIM) {
         assert_eq!(part.payload.len(), batch::words(part.count as usize, DIM));
-        let _ = part.check(&spaces);
+        let _ = part.check(&spaces, &mut Vec::new());
     }
     let _ = table.apply(&words(bytes));
     for j in 0..MENTOR {
@@ -221,7 +221,7 @@ fn replay(bytes: &[u8]) {
     for &span in &spans {
         if replay.read_segment(span, &mut &segment[..]).is_ok() && replay.check(&bounds).is_ok() {
             let entry = replay.get(replay.slot(span.first));
-            assert!((entry.transition.action as usize) < ACTIONS);
+            assert!((entry.action as usize) < ACTIONS);
         }
     }
 }

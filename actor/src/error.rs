@@ -53,14 +53,16 @@ pub enum ActorError {
         amount: u32,
     },
     /// A number from the environment that nothing can be learnt from.
-    #[error("the environment of actor {actor} gave {what} = {value} {moment}; accepted: finite numbers")]
-    NotFinite {
+    #[error("the environment of actor {actor} gave {what} = {value} {moment}; accepted: {accepted}")]
+    Number {
         /// The actor.
         actor: u32,
         /// Which number.
         what: Number,
-        /// NaN, or an infinity.
+        /// NaN, an infinity, or a value that the type of the features does not hold.
         value: f32,
+        /// The accepted values.
+        accepted: &'static str,
         /// When.
         moment: Moment,
     },

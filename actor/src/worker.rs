@@ -19,6 +19,7 @@ use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
 use trestle_proto::orders::Collect;
 use trestle_proto::reply::{Evaluation, EvaluationEpisode};
 use trestle_proto::rng::{Purpose, Stream, stream};
+use trestle_proto::row::Element;
 use trestle_proto::schedule;
 use trestle_proto::space::{Success, reported};
 use trestle_qnet::{kernels_of, network_of};
@@ -46,6 +47,8 @@ pub struct Worker {
     /// Lengths of what it acts with.
     lengths: Lengths,
     env: Box<dyn Environment>,
+    /// Type of its features.
+    element: Element,
     /// For greedy episodes, so that they leave `env` alone.
     evaluation_env: Box<dyn Environment>,
     /// What counts as an episode's success.
@@ -137,7 +140,7 @@ impl Worker {
         let mut environment = stream(run.seed, Purpose::Environment, who);
         let mut obs = vec![0.0; obs_dim];
         env.reset(&mut environment, &mut obs)?;
-        check_finite(index, Moment::Steps(0), &obs, 0.0)?;
+        check_numbers(index, Moment::Steps(0), experiment.spec.element, &obs, 0.0)?;
         let mut explore = stream(run.seed, Purpose::Explore, who);
         let mut guide = Guide::new(experiment)?;
         if let Some(guide) = &mut guide {
@@ -154,6 +157,7 @@ impl Worker {
             guides: true,
             lengths: experiment.acting(),
             env,
+            element: experiment.spec.element,
             evaluation_env: hazards.around(built(false)?, HazardScope::Evaluation),
             success: experiment.success(),
             explore,
@@ -189,7 +193,7 @@ impl Worker {
     /// Begins an episode.
     fn reset(&mut self) -> Result<(), ActorError> {
         self.env.reset(&mut self.environment, &mut self.obs)?;
-        check_finite(self.index, Moment::Steps(self.seq), &self.obs, 0.0)?;
+        check_numbers(self.index, Moment::Steps(self.seq), self.element, &self.obs, 0.0)?;
         if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
             guide.begin(&self.obs, &mut self.explore);
         }
@@ -231,6 +235,8 @@ impl Worker {
             incarnation: self.incarnation,
             count: order.steps,
             obs_dim: self.obs.len() as u32,
+            element: self.element.code(),
+            reserved: 0,
             guide: Tally::default(),
         });
         let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
@@ -253,7 +259,7 @@ impl Worker {
             let step = self.env.step(action, &mut self.next_obs)?;
             pulse::step();
             // The learner checks it as well, but this process is the one to blame, and to be replaced.
-            check_finite(self.index, Moment::Steps(self.seq), &self.next_obs, step.reward)?;
+            check_numbers(self.index, Moment::Steps(self.seq), self.element, &self.next_obs, step.reward)?;
             let flags = if self.first { FIRST } else { 0 }
                 | if step.terminated { TERMINATED } else { 0 }
                 | if step.truncated { TRUNCATED } else { 0 }
@@ -366,9 +372,9 @@ impl Worker {
     ) -> Result<EvaluationEpisode, ActorError> {
         let (mut total_reward, mut length) = (0.0, 0);
         let goal_bonus = self.evaluation_env.spec().goal_bonus;
-        let (index, moment) = (self.index, Moment::Evaluation(evaluation));
+        let (index, moment, element) = (self.index, Moment::Evaluation(evaluation), self.element);
         self.evaluation_env.reset(rng, &mut self.evaluation_obs)?;
-        check_finite(index, moment, &self.evaluation_obs, 0.0)?;
+        check_numbers(index, moment, element, &self.evaluation_obs, 0.0)?;
         let mut path = Vec::new();
         let mut fits = true;
         let mut record = |obs: &[f32]| {
@@ -383,7 +389,7 @@ impl Worker {
             let action = choose(&mut self.policy, self.guide.as_mut(), &self.evaluation_obs);
             let step = self.evaluation_env.step(action, &mut self.evaluation_obs)?;
             pulse::step();
-            check_finite(index, moment, &self.evaluation_obs, step.reward)?;
+            check_numbers(index, moment, element, &self.evaluation_obs, step.reward)?;
             total_reward += reported(step.reward, step.success, goal_bonus);
             length += 1;
             let whole = record(&self.evaluation_obs);
@@ -457,14 +463,20 @@ impl Worker {
 }
 
 /// Refuses a state or a reward that nothing can be learnt from.
-fn check_finite(actor: u32, moment: Moment, obs: &[f32], reward: f32) -> Result<(), ActorError> {
-    let feature = obs.iter().position(|value| !value.is_finite());
-    let (what, value) = match feature {
-        Some(index) => (Number::Feature(index), obs[index]),
-        None if !reward.is_finite() => (Number::Reward, reward),
+fn check_numbers(
+    actor: u32,
+    moment: Moment,
+    element: Element,
+    obs: &[f32],
+    reward: f32,
+) -> Result<(), ActorError> {
+    let feature = obs.iter().position(|&value| !element.holds(value));
+    let (what, value, element) = match feature {
+        Some(index) => (Number::Feature(index), obs[index], element),
+        None if !reward.is_finite() => (Number::Reward, reward, Element::F32),
         None => return Ok(()),
     };
-    Err(ActorError::NotFinite { actor, what, value, moment })
+    Err(ActorError::Number { actor, what, value, moment, accepted: element.accepted() })
 }
 
 /// Refuses too much work, or none.

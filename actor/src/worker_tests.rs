@@ -260,6 +260,8 @@ fn batches_are_complete_and_continuous() {
             incarnation: Incarnation::default(),
             count: 32,
             obs_dim: 2,
+            element: 0,
+            reserved: 0,
             guide: Tally::default(),
         };
         assert_eq!(batch.header, header);
@@ -494,9 +496,17 @@ fn numbers_that_are_not_finite_are_refused_by_name() {
     let (got_through, refused) = refusal(other, &params, Doing::Collecting);
     assert!(got_through == 2 && refused.contains("after 36 steps"), "{got_through}: {refused}");
     for (value, finite) in [(f32::INFINITY, false), (f32::NEG_INFINITY, false), (f32::MAX, true)] {
-        assert_eq!(check_finite(0, Moment::Steps(0), &[0.0], value).is_ok(), finite);
-        assert_eq!(check_finite(0, Moment::Steps(0), &[value], 0.0).is_ok(), finite);
+        let check =
+            |obs: f32, reward| check_numbers(0, Moment::Steps(0), Element::F32, &[obs], reward).is_ok();
+        assert_eq!((check(0.0, value), check(value, 0.0)), (finite, finite));
     }
+    let refused =
+        check_numbers(1, Moment::Steps(9), Element::U8, &[255.0, 0.5], -0.5).unwrap_err().to_string();
+    assert!(
+        refused.contains("feature 1 of its state = 0.5 after 9 steps; accepted: whole numbers from 0"),
+        "{refused}"
+    );
+    assert!(check_numbers(1, Moment::Steps(9), Element::U8, &[255.0, 0.0], -0.5).is_ok());
 }
 
 /// An experiment's hazard strikes in the processes of its run. A process that only looks at the run is spared.

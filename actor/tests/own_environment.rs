@@ -15,6 +15,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::orders::Collect;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::rng::Stream;
+use trestle_proto::row::Element;
 use trestle_proto::settings;
 use trestle_proto::space::{EnvSpec, Success};
 
@@ -44,6 +45,8 @@ impl Kind for Balance {
         let width = settings.width as i32;
         let spec = EnvSpec {
             name: "balance".into(),
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![-(settings.width as f32)],
             high: vec![settings.width as f32],
             scale: vec![1.0],

@@ -287,6 +287,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use trestle_proto::config;
+    use trestle_proto::row::Element;
     use trestle_proto::space::EnvSpec;
 
     fn line() -> Summary {
@@ -363,6 +364,8 @@ mod tests {
     #[test]
     fn a_change_of_categories_says_nothing_of_a_step() {
         let spec = EnvSpec {
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![0.0; 2],
             high: vec![20.0; 2],
             integral: false,

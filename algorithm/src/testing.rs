@@ -13,6 +13,7 @@ use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::rng::Stream;
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 pub(crate) const MENTOR_LEN: usize = 6;
@@ -22,6 +23,8 @@ pub(crate) const N_ACTIONS: u32 = 3;
 pub(crate) fn spec() -> EnvSpec {
     EnvSpec {
         name: "test".into(),
+        element: Element::F32,
+        shape: Vec::new(),
         low: vec![-4.0; 2],
         high: vec![4.0; 2],
         scale: vec![1.0; 2],

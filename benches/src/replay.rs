@@ -61,9 +61,8 @@ fn pair(dim: usize) -> Result<[Case<'static>; 2]> {
     let sample = move || {
         replay.sample(&mut rng, BATCH, &mut slots);
         for (row, &slot) in slots.iter().enumerate() {
-            let entry = replay.get(slot as usize);
-            encoding.encode(entry.transition.obs, &mut x[row * dim..][..dim]);
-            encoding.encode(entry.transition.next_obs, &mut next[row * dim..][..dim]);
+            encoding.encode_row(replay.obs(slot as usize), &mut x[row * dim..][..dim]);
+            encoding.encode_row(replay.next_obs(slot as usize), &mut next[row * dim..][..dim]);
         }
         black_box((&x, &next));
         Ok(())

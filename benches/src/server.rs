@@ -33,7 +33,7 @@ impl Server {
             mentor: Mentor::new(&demonstration, &settings, Algo::HaDiiqn, &world.spec(), stored, 1)?,
             walk: world.walk(),
             batch: Checked::default(),
-            spaces: Spaces { actors: 1, obs_dim: DIM, n_actions: world.spec().n_actions() },
+            spaces: Spaces { actors: 1, row: DIM.into(), n_actions: world.spec().n_actions() },
             observed: Observed::default(),
             index: 0,
         })

@@ -10,6 +10,7 @@ use anyhow::Result;
 use trestle_algorithm::demonstration::Demonstration;
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, TRUNCATED, Transition};
 use trestle_proto::rng::mix;
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 /// Steps of an observer's episode.
@@ -53,6 +54,8 @@ impl World {
     pub fn spec(&self) -> EnvSpec {
         EnvSpec {
             name: "walk".into(),
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![-1.0; self.dim],
             high: vec![self.side as f32; self.dim],
             scale: vec![1.0; self.dim],

@@ -129,8 +129,9 @@ fn maze(run: &Run) -> Result<Option<Maze>> {
     let fine = ground.squares();
     let [columns, rows] = size.map(|side| side * fine);
     let mut visits = vec![0.0; columns * rows];
+    let mut wide = Vec::new();
     for index in replay.first_index()..replay.next_index() {
-        for place in ground.places(replay.get(replay.slot(index)).transition.obs) {
+        for place in ground.places(replay.obs(replay.slot(index)).wide(&mut wide)) {
             let [column, row] = place.map(|at| ((at + 0.5) * fine as f64).floor());
             if (0.0..columns as f64).contains(&column) && (0.0..rows as f64).contains(&row) {
                 visits[row as usize * columns + column as usize] += 1.0;

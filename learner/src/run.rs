@@ -156,7 +156,7 @@ impl<'a> Loop<'a> {
         Self {
             barrier,
             came: pending.into_iter().map(Came::Batch).collect(),
-            spare: vec![Checked::with_capacity(run.rollout as usize, experiment.spec.obs_dim()); actors],
+            spare: vec![Checked::with_capacity(run.rollout as usize, experiment.spec.row()); actors],
             answers: Answers::default(),
             seats: vec![seat; actors],
             orders: Orders { run: life.run, generation: life.generation, ..Orders::default() },

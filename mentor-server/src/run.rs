@@ -5,7 +5,7 @@ use trestle_algorithm::demonstration::Demonstration;
 use trestle_algorithm::mentor::{Mentor, MentorError};
 use trestle_link::{LinkError, MentorHandler, MentorLink, Stop};
 use trestle_link::{logging, pulse};
-use trestle_proto::batch::{Checked, Spaces, Transitions};
+use trestle_proto::batch::Spaces;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::observe::{OBSERVE, ObserveAnswer, ObserveRequest, Observed, Part, REBUILD, RESTORE};
@@ -51,6 +51,7 @@ pub fn run(
         experiment,
         demonstration,
         spaces: experiment.spaces(),
+        wide: Vec::new(),
         observed: Observed::default(),
         cut_short: 0,
     };
@@ -69,6 +70,8 @@ struct Server<'a> {
     experiment: &'a Experiment,
     demonstration: &'a Demonstration,
     spaces: Spaces,
+    /// States of one byte as `f32`, of the part at hand.
+    wide: Vec<f32>,
     observed: Observed,
     /// Searches for bridges that have met their limit.
     cut_short: u64,
@@ -87,15 +90,19 @@ impl Server<'_> {
         }
         let (mut first, mut cut_short) = (request.first_index, 0);
         for _ in 0..request.count {
-            let part = Part::take(&mut payload, self.spaces.obs_dim).ok_or_else(|| {
+            let part = Part::take(&mut payload, self.spaces.row).ok_or_else(|| {
                 tracing::warn!("refused: a request whose parts do not fit its {} words", payload.len());
                 MALFORMED
             })?;
-            let transitions = self.check(&part)?;
+            // The request is a private copy.
+            let transitions = part.check(&self.spaces, &mut self.wide).map_err(|e| {
+                tracing::warn!("refused: {e}");
+                MALFORMED
+            })?;
             match request.op {
                 OBSERVE => {
                     self.mentor.observe(first, transitions, &mut self.observed).map_err(|e| refuse(&e))?;
-                    self.observed.encode(self.spaces.obs_dim, out);
+                    self.observed.encode(self.spaces.row.dim, out);
                     cut_short += self.observed.cut_short;
                 }
                 REBUILD => self.mentor.rebuild(first, transitions).map_err(|e| refuse(&e))?,
@@ -105,14 +112,6 @@ impl Server<'_> {
             pulse::step();
         }
         if payload.is_empty() { Ok(cut_short) } else { Err(MALFORMED) }
-    }
-
-    /// The transitions of one part, checked where they lie: the request is a private copy.
-    fn check<'p>(&self, part: &Part<'p>) -> Result<Checked<Transitions<'p>>, u32> {
-        part.check(&self.spaces).map_err(|e| {
-            tracing::warn!("refused: {e}");
-            MALFORMED
-        })
     }
 
     /// Says so the first time, and whenever ten times as many searches have met their limit.
@@ -131,7 +130,7 @@ impl Server<'_> {
 
     fn try_query(&mut self, request: &QueryRequest, state: &[f32], out: &mut Vec<u32>) -> Result<u32, u32> {
         let about_a_state = matches!(request.op, SIMILAR | BRIDGE);
-        let wanted = if about_a_state { self.spaces.obs_dim } else { 0 };
+        let wanted = if about_a_state { self.spaces.row.dim } else { 0 };
         if state.len() != wanted || state.iter().any(|x| !x.is_finite()) {
             return Err(MALFORMED);
         }

@@ -1,11 +1,11 @@
 //! A batch of transitions: what an actor sends in each round, and what the replay and the mentor-server read.
 //!
-//! Layout of the payload, `count` transitions of `obs_dim` features, in 32-bit words, as a structure of arrays:
+//! Layout of the payload, `count` transitions of `w` words a state ([`crate::row`]), in 32-bit words, as a structure of arrays:
 //!
 //! | words | what |
 //! |---|---|
-//! | `count * obs_dim` | observations s, `f32` |
-//! | `count * obs_dim` | next observations s', `f32` (the state reached, also where the episode ends) |
+//! | `count * w` | observations s: `obs_dim` numbers, `f32` or `u8` |
+//! | `count * w` | next observations s', likewise (the state reached, also where the episode ends) |
 //! | `count` | actions, `u32` |
 //! | `count` | rewards, `f32` |
 //! | `count` | flags, `u32`: [`TERMINATED`], [`TRUNCATED`], [`FIRST`], [`SUCCEEDED`] |
@@ -14,7 +14,8 @@ use crate::incarnation::Incarnation;
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use crate::round::Round;
-use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use crate::row::{Element, RowKind};
+use bytemuck::{Pod, Zeroable, cast_slice};
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
 
@@ -29,9 +30,9 @@ pub const SUCCEEDED: u32 = 8;
 /// All flags that a transition can have.
 pub const KNOWN_FLAGS: u32 = TERMINATED | TRUNCATED | FIRST | SUCCEEDED;
 
-/// Words that a batch of `count` transitions of `obs_dim` features takes.
-pub const fn words(count: usize, obs_dim: usize) -> usize {
-    count * (2 * obs_dim + 3)
+/// Words that a batch of `count` transitions between states of kind `row` takes.
+pub fn words(count: usize, row: impl Into<RowKind>) -> usize {
+    count * (2 * row.into().words() + 3)
 }
 
 /// What a guide that leads along the mentor's path did, for people to look at; all 0 without one.
@@ -81,12 +82,24 @@ pub struct BatchHeader {
     pub count: u32,
     /// Features of an observation.
     pub obs_dim: u32,
+    /// [`Element::code`] of their type.
+    pub element: u32,
+    /// 0.
+    pub reserved: u32,
     /// What the guide did meanwhile.
     pub guide: Tally,
 }
 
+impl BatchHeader {
+    /// The kind of its states; any unknown type counts as `f32`.
+    fn row(&self) -> RowKind {
+        let element = if self.element == Element::U8.code() { Element::U8 } else { Element::F32 };
+        RowKind { dim: self.obs_dim as usize, element }
+    }
+}
+
 impl Message for BatchHeader {
-    const TYPE_NAME: &'static str = "trestle.BatchHeader.v3";
+    const TYPE_NAME: &'static str = "trestle.BatchHeader.v4";
 }
 
 /// What a run's transitions can be.
@@ -94,8 +107,8 @@ impl Message for BatchHeader {
 pub struct Spaces {
     /// Actors of the run.
     pub actors: u32,
-    /// Features of an observation.
-    pub obs_dim: usize,
+    /// Features of a state, and how they are sent.
+    pub row: RowKind,
     /// Size of the action space, 1 or more.
     pub n_actions: usize,
 }
@@ -128,6 +141,16 @@ pub enum BatchError {
         found: u32,
         /// The run's.
         expected: usize,
+    },
+    /// The type of the features is not the run's.
+    #[error("batch of actor {actor} has features of type {found}; this run's have {expected}")]
+    Element {
+        /// The sender.
+        actor: u32,
+        /// What its header says.
+        found: u32,
+        /// The run's.
+        expected: u32,
     },
     /// The payload's size does not follow from the header.
     #[error("batch of actor {actor} has {found} words of payload; its header asks for {expected}")]
@@ -211,28 +234,41 @@ pub struct Batch {
     /// The header that travels with it.
     pub header: BatchHeader,
     payload: Vec<u32>,
+    /// All s and then all s' as `f32`, where the payload has them as bytes; empty otherwise.
+    wide: Vec<f32>,
 }
 
 impl Batch {
-    /// An empty batch with room for `count` transitions of `obs_dim` features.
-    pub fn with_capacity(count: usize, obs_dim: usize) -> Self {
-        Self { header: BatchHeader::default(), payload: Vec::with_capacity(words(count, obs_dim)) }
+    /// An empty batch with room for `count` transitions between states of kind `row`.
+    pub fn with_capacity(count: usize, row: impl Into<RowKind>) -> Self {
+        let row = row.into();
+        let payload = Vec::with_capacity(words(count, row));
+        Self { header: BatchHeader::default(), payload, wide: Vec::with_capacity(wide_len(count, row)) }
     }
 
     /// Takes `header` and makes the payload fit it, all zero. Allocates only when the batch has never been so large.
     pub fn prepare(&mut self, header: BatchHeader) {
         self.header = header;
+        let (count, row) = (self.len(), header.row());
         self.payload.clear();
-        self.payload.resize(words(header.count as usize, header.obs_dim as usize), 0);
+        self.payload.resize(words(count, row), 0);
+        self.wide.clear();
+        self.wide.resize(wide_len(count, row), 0.0);
     }
 
-    /// Writes transition `index` (below `header.count`) of a prepared batch.
+    /// Writes transition `index` (below `header.count`) of a prepared batch. The batch's type
+    /// [holds](Element::holds) its features.
     pub fn set(&mut self, index: usize, transition: &Transition<'_>) {
-        let (n, d) = (self.len(), self.obs_dim());
-        let (obs, rest) = self.payload.split_at_mut(n * d);
-        let (next, rest) = rest.split_at_mut(n * d);
-        cast_slice_mut::<u32, f32>(obs)[index * d..][..d].copy_from_slice(transition.obs);
-        cast_slice_mut::<u32, f32>(next)[index * d..][..d].copy_from_slice(transition.next_obs);
+        let (n, row) = (self.len(), self.header.row());
+        let (d, w) = (row.dim, row.words());
+        let (obs, rest) = self.payload.split_at_mut(n * w);
+        let (next, rest) = rest.split_at_mut(n * w);
+        row.pack(transition.obs, &mut obs[index * w..][..w]);
+        row.pack(transition.next_obs, &mut next[index * w..][..w]);
+        if row.element != Element::F32 {
+            self.wide[index * d..][..d].copy_from_slice(transition.obs);
+            self.wide[(n + index) * d..][..d].copy_from_slice(transition.next_obs);
+        }
         rest[index] = transition.action;
         rest[n + index] = transition.reward.to_bits();
         rest[2 * n + index] = transition.flags;
@@ -250,8 +286,10 @@ impl Batch {
 
     /// Its transitions, by reference.
     pub fn transitions(&self) -> Transitions<'_> {
-        let BatchHeader { actor, count, obs_dim, .. } = self.header;
-        Transitions { actor, count: count as usize, obs_dim: obs_dim as usize, payload: &self.payload }
+        let (count, row) = (self.len(), self.header.row());
+        let (states, rest) = self.payload.split_at(2 * count * row.words());
+        let states = if row.element == Element::F32 { cast_slice(states) } else { &self.wide };
+        Transitions { actor: self.header.actor, count, obs_dim: row.dim, states, rest }
     }
 
     /// Number of transitions.
@@ -287,25 +325,43 @@ pub struct Transitions<'a> {
     pub actor: u32,
     count: usize,
     obs_dim: usize,
-    payload: &'a [u32],
+    /// All s, then all s'.
+    states: &'a [f32],
+    /// Actions, rewards, flags.
+    rest: &'a [u32],
 }
 
 impl<'a> Transitions<'a> {
-    /// The `count` transitions in `payload`, which has [`words`] for them.
-    pub(crate) fn new(actor: u32, count: usize, obs_dim: usize, payload: &'a [u32]) -> Self {
-        Self { actor, count, obs_dim, payload }
-    }
-
-    /// Checks all of them.
+    /// The `count` transitions in `payload`, checked. States of one byte are copied to `wide` as `f32`.
     ///
     /// # Errors
-    /// The first number that is not of a run with these `spaces`.
-    pub(crate) fn check(self, spaces: &Spaces) -> Result<Checked<Self>, BatchError> {
-        let (count, obs_dim) = (self.count as u32, self.obs_dim as u32);
-        let header = BatchHeader { actor: self.actor, count, obs_dim, ..BatchHeader::default() };
-        check_header(&header, self.payload.len(), spaces)?;
-        self.validate(spaces)?;
-        Ok(Checked(self))
+    /// A size, or the first number, that is not of a run with these `spaces`.
+    pub(crate) fn check(
+        actor: u32,
+        count: u32,
+        payload: &'a [u32],
+        spaces: &Spaces,
+        wide: &'a mut Vec<f32>,
+    ) -> Result<Checked<Self>, BatchError> {
+        let row = spaces.row;
+        let header = BatchHeader {
+            actor,
+            count,
+            obs_dim: row.dim as u32,
+            element: row.element.code(),
+            ..BatchHeader::default()
+        };
+        check_header(&header, payload.len(), spaces)?;
+        let (states, rest) = payload.split_at(2 * count as usize * row.words());
+        let states = if row.element == Element::F32 {
+            cast_slice(states)
+        } else {
+            widen(states, row, wide);
+            wide
+        };
+        let transitions = Self { actor, count: count as usize, obs_dim: row.dim, states, rest };
+        transitions.validate(spaces)?;
+        Ok(Checked(transitions))
     }
 
     /// Number of transitions.
@@ -321,9 +377,9 @@ impl<'a> Transitions<'a> {
     /// Transition `index`, below [`Transitions::len`].
     pub fn get(&self, index: usize) -> Transition<'a> {
         let (n, d) = (self.count, self.obs_dim);
-        let [obs, next_obs] = [index * d, (n + index) * d].map(|at| cast_slice(&self.payload[at..][..d]));
-        let tail = &self.payload[2 * n * d..];
-        let (action, reward, flags) = (tail[index], f32::from_bits(tail[n + index]), tail[2 * n + index]);
+        let [obs, next_obs] = [index * d, (n + index) * d].map(|at| &self.states[at..][..d]);
+        let rest = self.rest;
+        let (action, reward, flags) = (rest[index], f32::from_bits(rest[n + index]), rest[2 * n + index]);
         Transition { obs, next_obs, action, reward, flags }
     }
 
@@ -373,9 +429,9 @@ impl<T> Deref for Checked<T> {
 }
 
 impl Checked<Batch> {
-    /// An empty batch with room for `count` transitions of `obs_dim` features.
-    pub fn with_capacity(count: usize, obs_dim: usize) -> Self {
-        Self(Batch::with_capacity(count, obs_dim))
+    /// An empty batch with room for `count` transitions between states of kind `row`.
+    pub fn with_capacity(count: usize, row: impl Into<RowKind>) -> Self {
+        Self(Batch::with_capacity(count, row))
     }
 
     /// Copies what a peer sent and checks all of it. On an error the batch is empty.
@@ -392,6 +448,10 @@ impl Checked<Batch> {
         check_header(&header, payload.len(), spaces)?;
         self.0.header = header;
         self.0.payload.extend_from_slice(payload);
+        let (count, row) = (self.0.len(), spaces.row);
+        if row.element != Element::F32 {
+            widen(&payload[..2 * count * row.words()], row, &mut self.0.wide);
+        }
         let sound = self.0.transitions().validate(spaces);
         if sound.is_err() {
             self.0.prepare(BatchHeader::default());
@@ -410,18 +470,34 @@ impl Checked<Batch> {
     }
 }
 
+/// Numbers of all states of `count` transitions beside the payload.
+fn wide_len(count: usize, row: RowKind) -> usize {
+    if row.element == Element::F32 { 0 } else { 2 * count * row.dim }
+}
+
+/// Puts the states of kind `row` in `words` to `wide`, in place of what it held.
+fn widen(words: &[u32], row: RowKind, wide: &mut Vec<f32>) {
+    wide.clear();
+    wide.resize(words.len() / row.words() * row.dim, 0.0);
+    let states = words.chunks_exact(row.words()).zip(wide.chunks_exact_mut(row.dim));
+    states.for_each(|(words, wide)| row.row(words).write(wide));
+}
+
 fn check_header(header: &BatchHeader, found: usize, spaces: &Spaces) -> Result<(), BatchError> {
-    let BatchHeader { actor, count, obs_dim, .. } = *header;
+    let BatchHeader { actor, count, obs_dim, element, .. } = *header;
     if actor >= spaces.actors {
         return Err(BatchError::Actor { actor, actors: spaces.actors });
     }
     if count == 0 || count > MAX_ROLLOUT {
         return Err(BatchError::Count { actor, count });
     }
-    if obs_dim as usize != spaces.obs_dim {
-        return Err(BatchError::ObsDim { actor, found: obs_dim, expected: spaces.obs_dim });
+    if obs_dim as usize != spaces.row.dim {
+        return Err(BatchError::ObsDim { actor, found: obs_dim, expected: spaces.row.dim });
     }
-    let expected = words(count as usize, spaces.obs_dim);
+    if element != spaces.row.element.code() {
+        return Err(BatchError::Element { actor, found: element, expected: spaces.row.element.code() });
+    }
+    let expected = words(count as usize, spaces.row);
     if found != expected { Err(BatchError::Size { actor, found, expected }) } else { Ok(()) }
 }
 
@@ -431,7 +507,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const SPACES: Spaces = Spaces { actors: 2, obs_dim: 2, n_actions: 4 };
+    const ROW: RowKind = RowKind { dim: 2, element: Element::F32 };
+    const SPACES: Spaces = Spaces { actors: 2, row: ROW, n_actions: 4 };
 
     fn sample(count: u32, obs_dim: u32) -> Batch {
         let mut batch = Batch::default();
@@ -452,9 +529,10 @@ mod tests {
     fn what_is_sent_arrives() {
         let sent = sample(5, 3);
         let mut got = Checked::<Batch>::default();
-        got.receive(sent.header, sent.payload(), &Spaces { obs_dim: 3, ..SPACES }).unwrap();
+        let spaces = Spaces { row: 3.into(), ..SPACES };
+        got.receive(sent.header, sent.payload(), &spaces).unwrap();
         assert_eq!(*got, sent);
-        assert_eq!(sent.clone().check(&Spaces { obs_dim: 3, ..SPACES }).unwrap(), got);
+        assert_eq!(sent.clone().check(&spaces).unwrap(), got);
         let last = got.transition(4);
         assert_eq!(last.obs, [400.0, 401.0, 402.0]);
         assert_eq!(last.next_obs, [400.5, 401.5, 402.5]);
@@ -470,15 +548,18 @@ mod tests {
             edit(&mut header, &mut payload);
             let message = got.receive(header, &payload, &SPACES).unwrap_err().to_string();
             assert!(got.is_empty() && got.payload().is_empty());
-            let transitions =
-                Transitions::new(header.actor, header.count as usize, header.obs_dim as usize, &payload);
-            assert_eq!(transitions.check(&SPACES).unwrap_err().to_string(), message);
+            if (header.obs_dim, header.element) == (2, 0) {
+                let mut wide = Vec::new();
+                let part = Transitions::check(header.actor, header.count, &payload, &SPACES, &mut wide);
+                assert_eq!(part.unwrap_err().to_string(), message);
+            }
             message
         };
         assert!(check(&|h, _| h.actor = 2).contains("actor 2; this run has 2"));
         assert!(check(&|h, _| h.count = 0).contains("0 transitions"));
         assert!(check(&|h, _| h.count = 1 << 20).contains("1048576 transitions"));
         assert!(check(&|h, _| h.obs_dim = 9).contains("9 features"));
+        assert!(check(&|h, _| h.element = 1).contains("of type 1"));
         assert!(check(&|_, p| _ = p.pop()).contains("13 words"));
         assert!(check(&|_, p| p[0] = f32::NAN.to_bits()).contains("observation that is not finite"));
         assert!(check(&|_, p| p[5] = f32::INFINITY.to_bits()).contains("next observation"));
@@ -488,6 +569,36 @@ mod tests {
     }
 
     proptest! {
+        /// The same transitions as bytes and as `f32`: a quarter of the words, and the same numbers.
+        #[test]
+        fn bytes_give_the_numbers_that_words_give(
+            states in prop::collection::vec(prop::array::uniform5(any::<u8>()), 2..12),
+        ) {
+            let states: Vec<[f32; 5]> = states.iter().map(|state| state.map(f32::from)).collect();
+            let count = (states.len() - 1) as u32;
+            let [wide, bytes] = [Element::F32, Element::U8].map(|element| {
+                let header =
+                    BatchHeader { count, obs_dim: 5, element: element.code(), ..BatchHeader::default() };
+                let mut batch = Batch::default();
+                batch.prepare(header);
+                for (i, pair) in states.windows(2).enumerate() {
+                    let (obs, next_obs) = (&pair[0], &pair[1]);
+                    batch.set(i, &Transition { obs, next_obs, action: 1, reward: 0.5, flags: 0 });
+                }
+                let spaces = Spaces { row: RowKind { dim: 5, element }, ..SPACES };
+                let (mut got, mut scratch) = (Checked::<Batch>::default(), vec![7.0]);
+                got.receive(batch.header, batch.payload(), &spaces).unwrap();
+                assert_eq!(*got, batch);
+                let part = Transitions::check(0, count, batch.payload(), &spaces, &mut scratch).unwrap();
+                assert_eq!(part, got.transitions());
+                got
+            });
+            prop_assert_eq!(bytes.payload().len(), words(count as usize, 2));
+            for i in 0..count as usize {
+                prop_assert_eq!(bytes.transition(i), wide.transition(i));
+            }
+        }
+
         #[test]
         fn arbitrary_bytes_never_panic(
             header in any::<[u8; std::mem::size_of::<BatchHeader>()]>(),

@@ -3,7 +3,7 @@
 
 use crate::acting::{Lengths, Room};
 use crate::batch::Spaces;
-use crate::config::{Config, EncodingKind, GuideKind, Mode};
+use crate::config::{Channels, Config, ConvLayer, EncodingKind, GuideKind, Mode};
 use crate::limits::{MAX_OWN_NUMBERS, MAX_OWN_PLACES, TRANSITIONS_BUFFER};
 use crate::space::{EnvSpec, Success, least};
 use crate::waypoints::Waypoints;
@@ -41,20 +41,53 @@ impl Experiment {
     /// guided by them.
     pub fn acting(&self) -> Lengths {
         Lengths {
-            weights: parameters(&self.sizes()),
+            weights: self.parameters(),
             known: if self.config.guide() == Some(GuideKind::Known) { self.mentor_len() } else { 0 },
             policy: self.policy_sizes().map_or(0, |sizes| parameters(&sizes)),
         }
     }
 
-    /// Units of the network's input, hidden layers and output.
+    /// Height, width and channels of the grid that the network's input is, and then of what each convolution gives; none without
+    /// convolutions. Sizes of a grid that a kernel does not fit into mean nothing.
+    pub fn grids(&self) -> Vec<[usize; 3]> {
+        let learner = &self.config.learner;
+        if learner.conv.is_empty() {
+            return Vec::new();
+        }
+        let mut grid = match (&self.spec.shape[..], learner.conv_channels) {
+            (&[height, width], _) => [height, width, 1],
+            (&[height, width, channels], Channels::Last) | (&[channels, height, width], Channels::First) => {
+                [height, width, channels]
+            }
+            _ => [0; 3],
+        };
+        let mut grids = vec![grid];
+        for conv in &learner.conv {
+            let places = |side: usize| side.saturating_sub(conv.kernel) / conv.stride.max(1) + 1;
+            grid = [places(grid[0]), places(grid[1]), conv.channels];
+            grids.push(grid);
+        }
+        grids
+    }
+
+    /// Parameters of the network, biases included.
+    fn parameters(&self) -> usize {
+        let (grids, sizes, convs) = (self.grids(), self.sizes(), &self.config.learner.conv);
+        let of_conv = |(pair, conv): (&[[usize; 3]], &ConvLayer)| {
+            (conv.kernel * conv.kernel * pair[0][2] + 1) * conv.channels
+        };
+        grids.windows(2).zip(convs).map(of_conv).sum::<usize>() + parameters(&sizes[convs.len()..])
+    }
+
+    /// Numbers of the network's input, of what each convolution and hidden layer gives, and of the output.
     pub fn sizes(&self) -> Vec<usize> {
         let input = match self.config.env.encoding {
             EncodingKind::Coordinates => self.mixed_sizes().iter().map(|&size| size.max(1)).sum(),
             EncodingKind::OneHot => self.one_hot_sizes().iter().sum(),
         };
         let hidden = self.config.learner.hidden.iter().copied();
-        std::iter::once(input).chain(hidden).chain([self.spec.n_actions()]).collect()
+        let planes = self.grids().into_iter().skip(1).map(|grid| grid.into_iter().product());
+        std::iter::once(input).chain(planes).chain(hidden).chain([self.spec.n_actions()]).collect()
     }
 
     /// How many own paths actors may get.
@@ -97,7 +130,7 @@ impl Experiment {
     /// What the run's transitions can be.
     pub fn spaces(&self) -> Spaces {
         let (actors, spec) = (self.config.run.actors, &self.spec);
-        Spaces { actors, obs_dim: spec.obs_dim(), n_actions: spec.n_actions() }
+        Spaces { actors, row: spec.row(), n_actions: spec.n_actions() }
     }
 
     /// Environment steps of a tick in lockstep.

@@ -24,6 +24,7 @@ pub mod regular_file;
 pub mod reply;
 pub mod rng;
 pub mod round;
+pub mod row;
 pub mod run_result;
 pub mod rundir;
 pub mod schedule;

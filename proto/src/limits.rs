@@ -14,6 +14,8 @@ pub const MAX_ACTIONS: usize = 1024;
 pub const MAX_SIZES: usize = 8;
 /// Most units in one layer.
 pub const MAX_WIDTH: usize = 4096;
+/// Most rows and columns of a convolution's kernel, and of its stride.
+pub const MAX_KERNEL: usize = 64;
 /// Most transitions in the replay.
 pub const MAX_REPLAY: usize = 100_000_000;
 /// Most steps that a target looks ahead (`learner.n_step`).

@@ -14,6 +14,7 @@ use crate::batch::{self, Batch, BatchError, Checked, Spaces, Transitions};
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
 use crate::round::Round;
+use crate::row::RowKind;
 use bytemuck::{Pod, Zeroable};
 
 /// Take the transitions in, infer actions, look for bridges, and answer with mentor indices.
@@ -94,24 +95,31 @@ impl<'a> Part<'a> {
         PART_WORDS + self.payload.len()
     }
 
-    /// Takes the first part off `words`; none where they do not hold a whole one of 1 to [`MAX_ROLLOUT`] transitions of
-    /// `obs_dim` features.
-    pub fn take(words: &mut &'a [u32], obs_dim: usize) -> Option<Self> {
+    /// Takes the first part off `words`; none where they do not hold a whole one of 1 to [`MAX_ROLLOUT`] transitions
+    /// between states of kind `row`.
+    pub fn take(words: &mut &'a [u32], row: impl Into<RowKind>) -> Option<Self> {
         let (&[actor, count], rest) = words.split_first_chunk()?;
         if !(1..=MAX_ROLLOUT).contains(&count) {
             return None;
         }
-        let (payload, rest) = rest.split_at_checked(batch::words(count as usize, obs_dim))?;
+        let (payload, rest) = rest.split_at_checked(batch::words(count as usize, row))?;
         *words = rest;
         Some(Self { actor, count, payload })
     }
 
-    /// Its transitions, where they lie, checked.
+    /// Its transitions, where they lie, checked. States of one byte are copied to `wide` as `f32`.
     ///
     /// # Errors
     /// The first number that is not of a run with these `spaces`.
-    pub fn check(&self, spaces: &Spaces) -> Result<Checked<Transitions<'a>>, BatchError> {
-        Transitions::new(self.actor, self.count as usize, spaces.obs_dim, self.payload).check(spaces)
+    pub fn check<'w>(
+        &self,
+        spaces: &Spaces,
+        wide: &'w mut Vec<f32>,
+    ) -> Result<Checked<Transitions<'w>>, BatchError>
+    where
+        'a: 'w,
+    {
+        Transitions::check(self.actor, self.count, self.payload, spaces, wide)
     }
 }
 

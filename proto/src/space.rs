@@ -1,6 +1,7 @@
 //! What the other processes know of an environment: the shape of its observations and actions.
 
 use crate::limits::{MAX_ACTIONS, MAX_OBS_DIM};
+use crate::row::{Element, RowKind};
 use serde::{Deserialize, Serialize};
 
 /// The spaces of an environment, and how its returns are to be read.
@@ -8,6 +9,11 @@ use serde::{Deserialize, Serialize};
 pub struct EnvSpec {
     /// Name for people, e.g. `maze maze30`.
     pub name: String,
+    /// The type that holds every feature in the replay and in messages. A state with another value is an error of the environment.
+    pub element: Element,
+    /// Shape of an observation that is one array whose numbers, row-major, are the features; empty where it is none. A
+    /// convolution needs two or three dimensions.
+    pub shape: Vec<usize>,
     /// Smallest value of each feature; its length is the observation's dimension.
     pub low: Vec<f32>,
     /// Largest value of each feature.
@@ -43,6 +49,18 @@ pub enum SpaceError {
         /// Name of the environment.
         name: String,
         /// What it says.
+        dim: usize,
+    },
+    /// Shape of the observation.
+    #[error(
+        "environment {name}: an array of the shape {shape:?}; accepted: as many numbers as it has features, {dim}, or no shape"
+    )]
+    Shape {
+        /// Name of the environment.
+        name: String,
+        /// What it says.
+        shape: Vec<usize>,
+        /// Features of an observation.
         dim: usize,
     },
     /// Number of actions.
@@ -139,6 +157,11 @@ impl EnvSpec {
         self.low.len()
     }
 
+    /// The kind of its states, as they are stored and sent.
+    pub fn row(&self) -> RowKind {
+        RowKind { dim: self.obs_dim(), element: self.element }
+    }
+
     /// Number of discrete actions.
     pub fn n_actions(&self) -> usize {
         self.actions.len()
@@ -152,6 +175,9 @@ impl EnvSpec {
             features.iter().copied().chain(goals).collect()
         };
         Self {
+            // The mentor's states may have other numbers, and two arrays are not one.
+            element: Element::F32,
+            shape: Vec::new(),
             low: twice(&self.low),
             high: twice(&self.high),
             scale: twice(&self.scale),
@@ -166,6 +192,7 @@ impl EnvSpec {
         let dim = self.obs_dim() / 2;
         let own = |features: &[usize]| features.iter().copied().filter(|&feature| feature < dim).collect();
         Self {
+            shape: Vec::new(),
             low: self.low[..dim].to_vec(),
             high: self.high[..dim].to_vec(),
             scale: self.scale[..dim].to_vec(),
@@ -180,6 +207,10 @@ impl EnvSpec {
         let dim = self.obs_dim();
         if dim == 0 || dim > MAX_OBS_DIM || self.high.len() != dim || self.scale.len() != dim {
             return Err(SpaceError::ObsDim { name: self.name.clone(), dim });
+        }
+        let numbers = self.shape.iter().try_fold(1usize, |all, &side| all.checked_mul(side));
+        if !self.shape.is_empty() && numbers != Some(dim) {
+            return Err(SpaceError::Shape { name: self.name.clone(), shape: self.shape.clone(), dim });
         }
         if !(2..=MAX_ACTIONS).contains(&self.n_actions()) {
             return Err(SpaceError::Actions { name: self.name.clone(), n: self.n_actions() });

@@ -4,6 +4,7 @@
 //! encoding the paper's experiments used is not said; all three are ours.
 
 use serde::{Deserialize, Serialize};
+use trestle_proto::row::Row;
 
 use crate::layout::MAX_WIDTH;
 
@@ -162,19 +163,35 @@ impl Encoding {
     /// # Panics
     /// If a slice has another length.
     pub fn encode(&self, obs: &[f32], out: &mut [f32]) {
+        self.encode_features(obs, out);
+    }
+
+    /// As [`Encoding::encode`], from a state of either type: the same bits for the same values.
+    ///
+    /// # Panics
+    /// As [`Encoding::encode`].
+    pub fn encode_row(&self, obs: Row<'_>, out: &mut [f32]) {
+        match obs {
+            Row::F32(obs) => self.encode_features(obs, out),
+            Row::U8(obs) => self.encode_features(obs, out),
+        }
+    }
+
+    #[inline]
+    fn encode_features<T: Copy + Into<f32>>(&self, obs: &[T], out: &mut [f32]) {
         assert_eq!(obs.len(), self.observation_dim(), "observation length");
         assert_eq!(out.len(), self.input_dim(), "encoded length");
         match self {
             Encoding::Scale { low, high } => {
                 for (((out, &value), &low), &high) in out.iter_mut().zip(obs).zip(low).zip(high) {
-                    *out = scaled(value, low, high);
+                    *out = scaled(value.into(), low, high);
                 }
             }
             Encoding::OneHot { low, sizes } => {
                 out.fill(0.0);
                 let mut start = 0;
                 for ((&value, &low), &size) in obs.iter().zip(low).zip(sizes) {
-                    out[start + category(value, low, size)] = 1.0;
+                    out[start + category(value.into(), low, size)] = 1.0;
                     start += size;
                 }
             }
@@ -183,14 +200,16 @@ impl Encoding {
                 let mut start = 0;
                 for (((&value, &low), &high), &size) in obs.iter().zip(low).zip(high).zip(sizes) {
                     if size == 0 {
-                        out[start] = scaled(value, low, high);
+                        out[start] = scaled(value.into(), low, high);
                     } else {
-                        out[start + category(value, low, size)] = 1.0;
+                        out[start + category(value.into(), low, size)] = 1.0;
                     }
                     start += size.max(1);
                 }
             }
-            Encoding::Identity { .. } => out.copy_from_slice(obs),
+            Encoding::Identity { .. } => {
+                out.iter_mut().zip(obs).for_each(|(out, &value)| *out = value.into())
+            }
         }
     }
 
@@ -306,6 +325,21 @@ mod tests {
                 let each: Vec<f32> =
                     values.chunks(2).take(rows).flat_map(|obs| encoded(&encoding, obs)).collect();
                 prop_assert_eq!(out, each);
+            }
+        }
+
+        #[test]
+        fn bytes_are_encoded_as_the_same_numbers_are(bytes in prop::collection::vec(any::<u8>(), 4)) {
+            let values: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
+            for encoding in [
+                Encoding::Scale { low: vec![0.0, 1.0, -3.0, 0.0], high: vec![255.0, 4.0, 7.0, 0.1] },
+                Encoding::OneHot { low: vec![0.0; 4], sizes: vec![4, 7, 256, 1] },
+                Encoding::Mixed { low: vec![0.0; 4], high: vec![2.0; 4], sizes: vec![0, 7, 0, 3] },
+                Encoding::Identity { dim: 4 },
+            ] {
+                let mut out = vec![f32::NAN; encoding.input_dim()];
+                encoding.encode_row(Row::U8(&bytes), &mut out);
+                prop_assert_eq!(out, encoded(&encoding, &values));
             }
         }
 

@@ -2,8 +2,8 @@
 
 use crate::encode::{Encoding, EncodingError};
 use crate::kernels::{Isa, Kernels};
-use crate::layout::{Layout, LayoutError};
-use trestle_proto::config::{EncodingKind, IsaKind};
+use crate::layout::{Grid, Layout, LayoutError};
+use trestle_proto::config::{Channels, EncodingKind, IsaKind};
 use trestle_proto::experiment::Experiment;
 
 /// An experiment that gives no network.
@@ -20,6 +20,28 @@ pub enum PlanError {
     OneHot {
         /// Name of the environment.
         env: String,
+    },
+    /// Convolutions of an observation that is no grid.
+    #[error(
+        "learner.conv has {convs} convolutions; accepted for {env}: none, as its observation is {found}, and not one array of 2 or 3 dimensions"
+    )]
+    NoGrid {
+        /// How many there are.
+        convs: usize,
+        /// Name of the environment.
+        env: String,
+        /// What an observation is.
+        found: String,
+    },
+    /// Convolutions of something else than the observation itself.
+    #[error("learner.conv has {convs} convolutions; accepted for {env}: none, as {why}")]
+    Encoded {
+        /// How many there are.
+        convs: usize,
+        /// Name of the environment.
+        env: String,
+        /// What the network sees instead.
+        why: &'static str,
     },
     /// An instruction set that this machine lacks.
     #[error("run.isa = {asked}; accepted on this machine: auto, {available}")]
@@ -42,7 +64,31 @@ pub fn network_of(experiment: &Experiment) -> Result<(Layout, Encoding), PlanErr
         EncodingKind::OneHot => return Err(PlanError::OneHot { env: spec.name.clone() }),
     };
     encoding.validate()?;
-    Ok((Layout::new(&experiment.sizes())?, encoding))
+    Ok((layout_of(experiment, &encoding)?, encoding))
+}
+
+/// The layers of `experiment`'s network.
+fn layout_of(experiment: &Experiment, encoding: &Encoding) -> Result<Layout, PlanError> {
+    let (sizes, learner, spec) = (experiment.sizes(), &experiment.config.learner, &experiment.spec);
+    let convs = learner.conv.len();
+    let Some(&[height, width, channels]) = experiment.grids().first() else {
+        return Ok(Layout::new(&sizes)?);
+    };
+    if !(2..=3).contains(&spec.shape.len()) {
+        let found = match &spec.shape[..] {
+            [] => format!("{} separate features", spec.obs_dim()),
+            shape => format!("an array of the shape {shape:?}"),
+        };
+        return Err(PlanError::NoGrid { convs, env: spec.name.clone(), found });
+    }
+    if !matches!(encoding, Encoding::Scale { .. }) {
+        let why = "categories or env.encoding = one-hot give it another input than the array";
+        return Err(PlanError::Encoded { convs, env: spec.name.clone(), why });
+    }
+    let channels_first = learner.conv_channels == Channels::First && spec.shape.len() == 3;
+    let grid = Grid { height, width, channels, channels_first };
+    let layers: Vec<_> = learner.conv.iter().map(|conv| (conv.channels, conv.kernel, conv.stride)).collect();
+    Ok(Layout::with_conv(grid, &layers, &sizes[1 + convs..])?)
 }
 
 /// The kernels that compute the network of `experiment`.

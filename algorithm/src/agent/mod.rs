@@ -179,7 +179,7 @@ impl Agent {
         Ok(Self {
             step: Step::new(&layout, settings.learner.batch, kernels),
             adam: Adam::new(layout.n_params()),
-            replay: Replay::new(settings.learner.replay, experiment.spec.obs_dim())?,
+            replay: Replay::new(settings.learner.replay, experiment.spec.row())?,
             network,
             rival: Rival::new(experiment)?,
             hindsight,

@@ -1,5 +1,6 @@
 //! States as rows of a network's input.
 
+use trestle_proto::row::Row;
 use trestle_qnet::Encoding;
 
 /// Rows of network input, in memory that is allocated once.
@@ -22,9 +23,9 @@ impl Rows {
     }
 
     /// Encodes `obs` into a new row and returns its number.
-    pub(super) fn push(&mut self, encoding: &Encoding, obs: &[f32]) -> usize {
+    pub(super) fn push(&mut self, encoding: &Encoding, obs: Row<'_>) -> usize {
         let row = self.len;
-        encoding.encode(obs, &mut self.x[row * self.width..][..self.width]);
+        encoding.encode_row(obs, &mut self.x[row * self.width..][..self.width]);
         self.len += 1;
         row
     }

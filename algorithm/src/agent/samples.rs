@@ -11,6 +11,7 @@ use crate::rivals::dshape::View;
 use crate::selection::{Candidate, Own};
 use rand::{Rng, RngCore};
 use trestle_proto::config::DrawKind;
+use trestle_proto::row::Row;
 use trestle_qnet::{Encoding, Layout, QNetwork, Workspace, forward_train};
 
 /// What samples and their terms are made from.
@@ -112,12 +113,12 @@ impl Samples {
 
     /// Makes the entry in `slot` a sample, to which mentor transition `j` belongs. There must be room.
     pub(super) fn add(&mut self, slot: usize, j: Option<usize>, from: &Sources<'_>) {
-        let own = from.replay.get(slot).transition;
-        let row = self.x.push(from.encoding, own.obs);
+        let own = from.replay.get(slot);
+        let row = self.x.push(from.encoding, from.replay.obs(slot));
         let with_loss = from.mentor.zip(j).and_then(|(mentor, j)| {
             let (rule, transitions) = (&from.settings.rule, &mentor.transitions);
             let term = mentor_term(rule, j, &mentor.annotations, transitions, own.reward)?;
-            Some(WithLoss { j, row: self.x.push(from.encoding, transitions.state(j)), term })
+            Some(WithLoss { j, row: self.x.push(from.encoding, Row::F32(transitions.state(j))), term })
         });
         self.all.push(Sample { slot, row, action: own.action, mentor: j, with_loss });
     }
@@ -126,7 +127,7 @@ impl Samples {
     pub(super) fn look(&mut self, view: &View, encoding: &Encoding) {
         self.x.clear();
         for at in 0..self.all.len() {
-            self.x.push(encoding, view.from(at));
+            self.x.push(encoding, Row::F32(view.from(at)));
         }
     }
 

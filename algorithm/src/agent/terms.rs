@@ -7,6 +7,7 @@ use super::rows::{Rows, Values};
 use super::samples::{Sample, Samples, Sources, WithLoss};
 use super::{AgentError, Settings, TrainStats};
 use crate::losses::{Weights, acts, n_step, next_value, target_value};
+use trestle_proto::row::Row;
 use trestle_qnet::autodiff::{self, loss_and_gradient};
 use trestle_qnet::{Layout, QNetwork, RowGrad, Workspace, forward};
 
@@ -79,15 +80,14 @@ impl Terms {
         let Sources { settings, replay, shown, .. } = *from;
         let mut last = sample.slot;
         let path = replay.path(sample.slot, settings.learner.n_step).inspect(|&slot| last = slot);
-        let reward = |slot| replay.get(slot).transition.reward + shown.added.map_or(0.0, |added| added[slot]);
+        let reward = |slot| replay.get(slot).reward + shown.added.map_or(0.0, |added| added[slot]);
         let (mut reward, discount) = n_step(settings.gamma, path.map(reward));
-        let end = replay.get(last).transition;
-        let mut next_obs = end.next_obs;
+        let mut next_obs = replay.next_obs(last);
         if let Some(view) = shown.view {
             reward += view.added(at);
-            next_obs = view.to(at);
+            next_obs = Row::F32(view.to(at));
         }
-        let next = (!end.terminated()).then(|| self.next.push(from.encoding, next_obs));
+        let next = (!replay.get(last).terminated()).then(|| self.next.push(from.encoding, next_obs));
         let Sample { row, action, .. } = *sample;
         self.all.push(Term { row, action, weight, mentor: None, reward, discount, next, target: 0.0 });
     }
@@ -97,7 +97,7 @@ impl Terms {
         let Some(mentor) = from.mentor else { return };
         let WithLoss { j, row, term } = *with_loss;
         let next_obs = term.next_obs(j, &mentor.annotations, &mentor.transitions);
-        let next = (!term.terminal).then(|| self.next.push(from.encoding, next_obs));
+        let next = (!term.terminal).then(|| self.next.push(from.encoding, Row::F32(next_obs)));
         self.all.push(Term {
             row,
             action: term.action,

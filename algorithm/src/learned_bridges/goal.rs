@@ -118,10 +118,13 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::similarity::metric::{DIFFERENT, kl};
+    use trestle_proto::row::Element;
 
     #[test]
     fn categories_are_given_themselves_and_never_near() {
         let spec = EnvSpec {
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![0.0, 2.0],
             high: vec![9.0, 4.0],
             scale: vec![0.5, 1.0],

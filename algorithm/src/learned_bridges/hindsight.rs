@@ -48,6 +48,7 @@ pub struct Hindsight {
     pairs: Vec<(usize, usize)>,
     path: Vec<usize>,
     place: Vec<f32>,
+    wide: Vec<f32>,
     workspace: Workspace,
     x: Vec<f32>,
     /// Outputs of the network, then the loss's derivatives by them.
@@ -71,6 +72,7 @@ impl Hindsight {
             pairs: Vec::with_capacity(config.batch),
             path: Vec::with_capacity(config.horizon),
             place: Vec::with_capacity(goal.dim()),
+            wide: Vec::new(),
             workspace: Workspace::with_kernels(&layout, config.batch, kernels),
             x: vec![0.0; config.batch * layout.input()],
             outputs: vec![0.0; config.batch * layout.output()],
@@ -139,8 +141,8 @@ impl Hindsight {
         let (width, n_actions) = (self.layout.input(), self.layout.output());
         for (&(slot, last), x) in self.pairs.iter().zip(self.x.chunks_exact_mut(width)) {
             self.place.clear();
-            self.goal.place(replay.get(last).transition.next_obs, &mut self.place);
-            self.goal.encode(replay.get(slot).transition.obs, &self.place, x);
+            self.goal.place(replay.next_obs(last).wide(&mut self.wide), &mut self.place);
+            self.goal.encode(replay.obs(slot).wide(&mut self.wide), &self.place, x);
         }
         let (params, x) = (&self.state.params, &self.x[..rows * width]);
         let outputs = &mut self.outputs[..rows * n_actions];
@@ -148,7 +150,7 @@ impl Hindsight {
         let (mut loss, scale) = (0.0, 1.0 / rows as f32);
         for (&(slot, _), row) in self.pairs.iter().zip(outputs.chunks_exact_mut(n_actions)) {
             softmax(row);
-            let action = replay.get(slot).transition.action as usize;
+            let action = replay.get(slot).action as usize;
             // Below the smallest normal number the loss is capped; its derivative is exact.
             loss -= libm::log(f64::from(row[action].max(f32::MIN_POSITIVE)));
             row[action] -= 1.0;

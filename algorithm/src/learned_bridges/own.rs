@@ -144,19 +144,21 @@ impl OwnPaths {
         to_end: bool,
     ) -> Option<OwnPath> {
         let near = self.radius / 15.0;
+        let (mut s, mut next) = (Vec::new(), Vec::new());
         let mut path = OwnPath::default();
         for (before, slot) in slots.enumerate() {
-            let transition = replay.get(slot).transition;
-            self.visit(&mut path, transition.obs, near);
-            path.states.extend_from_slice(transition.obs);
-            path.actions.push(transition.action);
+            let obs = replay.obs(slot).wide(&mut s);
+            self.visit(&mut path, obs, near);
+            path.states.extend_from_slice(obs);
+            path.actions.push(replay.get(slot).action);
             // One more place is still to come.
             if path.actions.len() >= self.room.places {
                 return None;
             }
-            let arrived = if to_end { self.is_end(transition.next_obs) } else { before + 1 == length };
+            let next_obs = replay.next_obs(slot).wide(&mut next);
+            let arrived = if to_end { self.is_end(next_obs) } else { before + 1 == length };
             if arrived {
-                self.goal.place(transition.next_obs, &mut path.places);
+                self.goal.place(next_obs, &mut path.places);
                 return Some(path);
             }
         }

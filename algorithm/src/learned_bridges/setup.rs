@@ -200,11 +200,14 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use trestle_proto::config::Learned;
+    use trestle_proto::row::Element;
 
     /// States of a position, in units of 2, and its velocity.
     fn spec() -> EnvSpec {
         EnvSpec {
             name: "line".into(),
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![-99.0; 2],
             high: vec![99.0; 2],
             scale: vec![2.0, 1.0],

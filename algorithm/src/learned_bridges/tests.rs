@@ -62,9 +62,10 @@ fn naive_loss(hindsight: &Hindsight, params: &[f64], replay: &Replay) -> f64 {
     let pairs = hindsight.pairs();
     let mut loss = 0.0;
     for &(slot, last) in pairs {
-        let (own, end) = (replay.get(slot).transition, replay.get(last).transition.next_obs);
-        let mut x: Vec<f64> = own.obs.iter().map(|&v| f64::from(v) / 8.0).collect();
-        x.push(f64::from(end[0] - own.obs[0]) / 2.0);
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        let (own, end) = (replay.obs(slot).wide(&mut a), replay.next_obs(last).wide(&mut b));
+        let mut x: Vec<f64> = own.iter().map(|&v| f64::from(v) / 8.0).collect();
+        x.push(f64::from(end[0] - own[0]) / 2.0);
         let layers = hindsight.layout().layers();
         for (l, layer) in layers.iter().enumerate() {
             let (w, b) = (&params[layer.weights()], &params[layer.bias()]);
@@ -74,7 +75,7 @@ fn naive_loss(hindsight: &Hindsight, params: &[f64], replay: &Replay) -> f64 {
             x = if l + 1 == layers.len() { out } else { out.into_iter().map(|v| v.max(0.0)).collect() };
         }
         let whole: f64 = x.iter().map(|v| v.exp()).sum();
-        loss -= (x[own.action as usize].exp() / whole).ln();
+        loss -= (x[replay.get(slot).action as usize].exp() / whole).ln();
     }
     loss / pairs.len() as f64
 }

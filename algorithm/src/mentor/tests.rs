@@ -8,6 +8,7 @@ use proptest::prelude::*;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Spaces, TERMINATED, TRUNCATED};
 use trestle_proto::config::{InferenceKind, MetricKind, Threshold};
+use trestle_proto::row::Element;
 
 /// A transition of the tests: actor, s, s', action, reward, flags.
 type Step = (u32, [f32; 2], [f32; 2], u32, f32, u32);
@@ -15,6 +16,8 @@ type Step = (u32, [f32; 2], [f32; 2], u32, f32, u32);
 fn spec() -> EnvSpec {
     EnvSpec {
         name: "grid".into(),
+        element: Element::F32,
+        shape: Vec::new(),
         low: vec![0.0; 2],
         high: vec![9.0; 2],
         scale: vec![1.0; 2],
@@ -41,7 +44,7 @@ fn batch(actor: u32, steps: &[Step]) -> Checked<Batch> {
     for (i, (_, obs, next_obs, action, reward, flags)) in steps.iter().enumerate() {
         batch.set(i, &Transition { obs, next_obs, action: *action, reward: *reward, flags: *flags });
     }
-    batch.check(&Spaces { actors: 64, obs_dim: 2, n_actions: 4 }).unwrap()
+    batch.check(&Spaces { actors: 64, row: 2.into(), n_actions: 4 }).unwrap()
 }
 
 /// A mentor that went diagonally, from (0, 0) to (2, 2), which no action of the observer does.

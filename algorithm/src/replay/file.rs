@@ -10,18 +10,21 @@
 //! |---|---|
 //! | 8, 8 | magic `TRREPLAY`, version of this layout `u64` |
 //! | 8, 8, 8, 8 | `obs_dim`, capacity, transitions stored, transitions ever stored, `u64` |
-//! | 16 | zero |
+//! | 8, 8 | type of the features ([`Element::code`]), zero, `u64` |
 //!
-//! A segment: 64 bytes of header, then each array whole, in the order of the global indices.
+//! A segment: 64 bytes of header, then each array whole, in the order of the global indices. An s' is in it only where there
+//! is no successor in the same segment; then its transition's flags have [`APART`] as well.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 8, 8 | magic `TRSEGMNT`, version of this layout `u64` |
 //! | 8, 8, 8 | `obs_dim`, global index of the first transition, and of the one after the last, `u64` |
-//! | 24 | zero |
-//! | `rows * obs_dim` words each | s, s', `f32` |
+//! | 8 | zero |
+//! | 8, 8 | type of the features, number of s', `u64` |
+//! | `rows * w` words | s, of `w` words each ([`RowKind::words`]) |
 //! | `rows` words each | actions `u32`, rewards `f32`, mentor indices `u32` |
 //! | `rows` bytes each | flags, actors |
+//! | `w` words each | s' of those transitions that have one of their own |
 //!
 //! Checksums are the business of whoever writes the files (a checkpoint's manifest).
 
@@ -30,14 +33,23 @@ use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut};
 use std::io::{self, Read};
 use std::ops::Range;
 use trestle_proto::NONE;
-use trestle_proto::batch::KNOWN_FLAGS;
+use trestle_proto::batch::{FIRST, KNOWN_FLAGS, TERMINATED, TRUNCATED};
+use trestle_proto::row::Row;
+#[cfg(doc)]
+use trestle_proto::row::{Element, RowKind};
 
 // The arrays go to the file as they lie in memory.
 const _: () = assert!(cfg!(target_endian = "little"), "files are little-endian, and so must be the machine");
 
 const HEAD: [u8; 8] = *b"TRREPLAY";
 const SEGMENT: [u8; 8] = *b"TRSEGMNT";
-const VERSION: u64 = 3;
+const VERSION: u64 = 4;
+/// Flag of a transition whose s' is in the segment.
+const APART: u8 = 0x80;
+
+// It is none of those that a transition has.
+const _: () = assert!(KNOWN_FLAGS & APART as u32 == 0);
+
 /// Segments that a full replay has, about: few enough for a directory, and small enough for the unfinished one, which
 /// every checkpoint writes anew.
 const SEGMENTS: u64 = 64;
@@ -56,7 +68,10 @@ struct Header {
     b: u64,
     /// Head: ever stored.
     c: u64,
-    zero: [u64; 2],
+    /// Type of the features.
+    element: u64,
+    /// Segment: number of s'.
+    tails: u64,
 }
 
 /// Transitions with global indices from `first` up to, and without, `end`.
@@ -126,6 +141,14 @@ pub enum ReplayFileError {
         /// What is accepted.
         accepted: String,
     },
+    /// A transition whose s' is neither in its segment nor that of a successor.
+    #[error(
+        "transition in slot {slot}: its s' is missing; accepted: a successor in its segment, or an s' of its own"
+    )]
+    Next {
+        /// Which slot.
+        slot: usize,
+    },
     /// Segments that leave something out, or overlap.
     #[error("no segment begins with transition {missing}, and {stored} are stored from {first} on")]
     Gap {
@@ -182,37 +205,51 @@ impl Replay {
         let header = Header {
             magic: HEAD,
             version: VERSION,
-            obs_dim: self.obs_dim as u64,
+            obs_dim: self.row.dim as u64,
             a: self.capacity as u64,
             b: self.len() as u64,
             c: self.pushed,
-            zero: [0; 2],
+            element: self.row.element.code().into(),
+            tails: 0,
         };
         bytes_of(&header).to_vec()
     }
 
     /// The transitions of `span`, all of which are stored, as the bytes of a file.
     pub fn segment(&self, span: Span) -> Vec<u8> {
+        let width = self.row.words();
+        let slots = self.slots(span);
+        let apart = |index: u64| {
+            let slot = self.slot(index);
+            let ahead = self.successor(slot).map(|next| (next + self.capacity - slot) % self.capacity);
+            ahead.is_none_or(|ahead| index + ahead as u64 >= span.end)
+        };
+        let tails = (span.first..span.end).filter(|&index| apart(index)).count();
         let header = Header {
             magic: SEGMENT,
             version: VERSION,
-            obs_dim: self.obs_dim as u64,
+            obs_dim: self.row.dim as u64,
             a: span.first,
             b: span.end,
             c: 0,
-            zero: [0; 2],
+            element: self.row.element.code().into(),
+            tails: tails as u64,
         };
-        let mut bytes = Vec::with_capacity(size_of::<Header>() + span.rows() * (8 * self.obs_dim + 14));
+        let length = size_of::<Header>() + span.rows() * (4 * width + 14) + tails * 4 * width;
+        let mut bytes = Vec::with_capacity(length);
         bytes.extend_from_slice(bytes_of(&header));
-        let slots = self.slots(span);
-        for features in [&self.obs, &self.next] {
-            put(&mut bytes, features, self.obs_dim, &slots);
-        }
+        put(&mut bytes, &self.obs, width, &slots);
         put(&mut bytes, &self.action, 1, &slots);
         put(&mut bytes, &self.reward, 1, &slots);
         put(&mut bytes, &self.mentor, 1, &slots);
-        put(&mut bytes, &self.flags, 1, &slots);
+        bytes.extend((span.first..span.end).map(|index| {
+            let flags = self.flags[self.slot(index)];
+            if apart(index) { flags | APART } else { flags }
+        }));
         put(&mut bytes, &self.actor, 1, &slots);
+        for index in (span.first..span.end).filter(|&index| apart(index)) {
+            bytes.extend_from_slice(cast_slice(self.next_words(self.slot(index))));
+        }
         bytes
     }
 
@@ -223,20 +260,26 @@ impl Replay {
         [start..start + before, 0..span.rows() - before]
     }
 
-    /// Begins to read a replay with the same capacity and `obs_dim` back: all entries are blank. After the last segment [`Replay::relink`] is due. All of `from` must be used up.
+    /// Begins to read a replay with the same capacity and kind of states back: all entries are blank. After the last segment
+    /// [`Replay::relink`] is due. All of `from` must be used up.
     ///
     /// # Errors
     /// Anything that [`Replay::head`] would not have given.
     pub fn read_head(&mut self, from: &mut impl Read) -> Result<(), ReplayFileError> {
         let header = read_header(from, HEAD)?;
-        let (dim, capacity) = (self.obs_dim as u64, self.capacity as u64);
+        let capacity = self.capacity as u64;
         let stored = header.c.min(capacity);
-        expect("obs_dim", header.obs_dim, dim)?;
+        self.expect_states(&header)?;
         expect("capacity", header.a, capacity)?;
         expect("number of transitions", header.b, stored)?;
         self.pushed = header.c;
         self.resize(stored as usize);
         end(from, stored)
+    }
+
+    fn expect_states(&self, header: &Header) -> Result<(), ReplayFileError> {
+        expect("obs_dim", header.obs_dim, self.row.dim as u64)?;
+        expect("type of the features", header.element, self.row.element.code().into())
     }
 
     /// Whether `spans`, in order, hold all that is stored, each from where the one before ends.
@@ -266,27 +309,61 @@ impl Replay {
     /// Anything that [`Replay::segment`] would not have given.
     pub fn read_segment(&mut self, span: Span, from: &mut impl Read) -> Result<(), ReplayFileError> {
         let header = read_header(from, SEGMENT)?;
-        expect("obs_dim", header.obs_dim, self.obs_dim as u64)?;
+        self.expect_states(&header)?;
         expect("first transition", header.a, span.first)?;
         expect("end", header.b, span.end)?;
         let stored = Span { first: span.first.max(self.first_index()), end: span.end };
         let gone = span.rows() - stored.rows();
         let slots = self.slots(stored);
-        for features in [&mut self.obs, &mut self.next] {
-            take(from, features, self.obs_dim, gone, &slots)?;
-        }
+        let width = self.row.words();
+        take(from, &mut self.obs, width, gone, &slots)?;
         take(from, &mut self.action, 1, gone, &slots)?;
         take(from, &mut self.reward, 1, gone, &slots)?;
         take(from, &mut self.mentor, 1, gone, &slots)?;
-        take(from, &mut self.flags, 1, gone, &slots)?;
+        let mut flags = vec![0; span.rows()];
+        from.read_exact(&mut flags)?;
         take(from, &mut self.actor, 1, gone, &slots)?;
+        let apart = |flags: &[u8]| flags.iter().filter(|&flags| flags & APART != 0).count();
+        expect("number of next states", header.tails, apart(&flags) as u64)?;
+        skip(from, apart(&flags[..gone]) * 4 * width)?;
+        for (index, flags) in (stored.first..).zip(&flags[gone..]) {
+            let slot = self.slot(index);
+            self.flags[slot] = flags & !APART;
+            if flags & APART != 0 {
+                let place = self.tails.take();
+                self.links.set_tail(slot, place);
+                from.read_exact(cast_slice_mut(self.tails.get_mut(place)))?;
+            }
+        }
+        self.link_within(stored)?;
         end(from, span.rows() as u64)
+    }
+
+    /// Links the transitions of a segment that have no s' of their own to their successors.
+    fn link_within(&mut self, span: Span) -> Result<(), ReplayFileError> {
+        let mut later = [None; 256];
+        for index in (span.first..span.end).rev() {
+            let slot = self.slot(index);
+            let next = later[usize::from(self.actor[slot])].replace(index);
+            if self.links.tail(slot).is_some() {
+                continue;
+            }
+            let flags = |slot: usize| u32::from(self.flags[slot]);
+            let follows = |&next: &u64| flags(self.slot(next)) & FIRST == 0;
+            match next.filter(follows) {
+                Some(next) if flags(slot) & (TERMINATED | TRUNCATED) == 0 => {
+                    self.links.set_ahead(slot, (next - index) as u32);
+                }
+                _ => return Err(ReplayFileError::Next { slot }),
+            }
+        }
+        Ok(())
     }
 
     /// Makes every array `len` (at most the capacity) transitions long, within the memory that is reserved.
     fn resize(&mut self, len: usize) {
-        self.obs.resize(len * self.obs_dim, 0.0);
-        self.next.resize(len * self.obs_dim, 0.0);
+        self.obs.resize(len * self.row.words(), 0);
+        self.tails.clear();
         self.action.resize(len, 0);
         self.reward.resize(len, 0.0);
         self.mentor.resize(len, NONE);
@@ -305,13 +382,15 @@ impl Replay {
         };
         for slot in 0..self.len() {
             let entry = self.get(slot);
-            let t = entry.transition;
-            let mut numbers = t.obs.iter().chain(t.next_obs).chain([&t.reward]);
-            if let Some(&x) = numbers.find(|x| !x.is_finite()) {
-                return refuse(slot, "a feature or the reward", f64::from(x), "finite numbers".into());
+            for row in [self.obs(slot), self.next_obs(slot), Row::F32(&[entry.reward])] {
+                // A byte is always a number.
+                let Row::F32(numbers) = row else { continue };
+                if let Some(&x) = numbers.iter().find(|x| !x.is_finite()) {
+                    return refuse(slot, "a feature or the reward", f64::from(x), "finite numbers".into());
+                }
             }
-            if t.action as usize >= bounds.n_actions {
-                return refuse(slot, "action", t.action.into(), format!("below {}", bounds.n_actions));
+            if entry.action as usize >= bounds.n_actions {
+                return refuse(slot, "action", entry.action.into(), format!("below {}", bounds.n_actions));
             }
             if let Some(j) = entry.mentor.filter(|&j| j >= bounds.mentor_len) {
                 return refuse(slot, "mentor index", j as f64, format!("below {}", bounds.mentor_len));
@@ -342,12 +421,18 @@ fn take<T: Pod>(
     gone: usize,
     slots: &[Range<usize>; 2],
 ) -> io::Result<()> {
-    let skipped = (gone * width * size_of::<T>()) as u64;
-    if io::copy(&mut from.by_ref().take(skipped), &mut io::sink())? < skipped {
-        return Err(io::ErrorKind::UnexpectedEof.into());
-    }
+    skip(from, gone * width * size_of::<T>())?;
     for range in slots {
         from.read_exact(cast_slice_mut(&mut column[range.start * width..range.end * width]))?;
+    }
+    Ok(())
+}
+
+/// Reads `bytes` bytes that are of no use.
+fn skip(from: &mut impl Read, bytes: usize) -> io::Result<()> {
+    let bytes = bytes as u64;
+    if io::copy(&mut from.by_ref().take(bytes), &mut io::sink())? < bytes {
+        return Err(io::ErrorKind::UnexpectedEof.into());
     }
     Ok(())
 }

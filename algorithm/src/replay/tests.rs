@@ -8,6 +8,7 @@ use rand::SeedableRng;
 use std::collections::{BTreeMap, VecDeque};
 use trestle_proto::batch::{FIRST, SUCCEEDED, TERMINATED, TRUNCATED};
 use trestle_proto::rng::Stream;
+use trestle_proto::row::Element;
 
 const DIM: usize = 2;
 const BOUNDS: Bounds = Bounds { n_actions: 4, mentor_len: 9, actors: 3 };
@@ -35,14 +36,15 @@ impl Plain {
         }
     }
 
-    fn of(entry: &Entry<'_>) -> Self {
-        let t = &entry.transition;
+    fn of(replay: &Replay, slot: usize) -> Self {
+        let entry = replay.get(slot);
+        let state = |row: Row<'_>| row.wide(&mut Vec::new()).try_into().unwrap();
         Self {
-            obs: t.obs.try_into().unwrap(),
-            next: t.next_obs.try_into().unwrap(),
-            action: t.action,
-            reward: t.reward,
-            flags: t.flags,
+            obs: state(replay.obs(slot)),
+            next: state(replay.next_obs(slot)),
+            action: entry.action,
+            reward: entry.reward,
+            flags: entry.flags,
             actor: entry.actor,
             mentor: entry.mentor.map_or(NONE, |j| j as u32),
         }
@@ -50,7 +52,7 @@ impl Plain {
 }
 
 fn plain() -> impl Strategy<Value = Plain> {
-    let number = -4i8..4;
+    let number = 0u8..8;
     let flags = prop::sample::select(vec![
         0,
         FIRST,
@@ -75,8 +77,18 @@ fn plain() -> impl Strategy<Value = Plain> {
     )
 }
 
+const ELEMENTS: [Element; 2] = [Element::F32, Element::U8];
+
+fn empty(capacity: usize, element: Element) -> Replay {
+    Replay::new(capacity, RowKind { dim: DIM, element }).unwrap()
+}
+
 fn filled(capacity: usize, entries: &[Plain]) -> (Replay, VecDeque<Plain>) {
-    let mut replay = Replay::new(capacity, DIM).unwrap();
+    filled_with(capacity, Element::F32, entries)
+}
+
+fn filled_with(capacity: usize, element: Element, entries: &[Plain]) -> (Replay, VecDeque<Plain>) {
+    let mut replay = empty(capacity, element);
     let mut model = VecDeque::new();
     for entry in entries {
         replay.push(&entry.transition(), entry.actor, entry.mentor);
@@ -89,26 +101,29 @@ fn filled(capacity: usize, entries: &[Plain]) -> (Replay, VecDeque<Plain>) {
 }
 
 fn contents(replay: &Replay) -> Vec<Plain> {
-    (replay.first_index()..replay.next_index()).map(|i| Plain::of(&replay.get(replay.slot(i)))).collect()
+    (replay.first_index()..replay.next_index()).map(|i| Plain::of(replay, replay.slot(i))).collect()
 }
 
 proptest! {
     #[test]
     fn it_is_a_bounded_queue(capacity in 1usize..12, entries in prop::collection::vec(plain(), 0..40)) {
-        let (replay, model) = filled(capacity, &entries);
-        prop_assert_eq!(replay.len(), model.len());
-        prop_assert_eq!(replay.is_empty(), model.is_empty());
-        prop_assert_eq!(replay.next_index(), entries.len() as u64);
-        prop_assert_eq!(replay.first_index(), (entries.len() - model.len()) as u64);
-        prop_assert_eq!(contents(&replay), Vec::from(model));
+        for element in ELEMENTS {
+            let (replay, model) = filled_with(capacity, element, &entries);
+            prop_assert_eq!(replay.len(), model.len());
+            prop_assert_eq!(replay.is_empty(), model.is_empty());
+            prop_assert_eq!(replay.next_index(), entries.len() as u64);
+            prop_assert_eq!(replay.first_index(), (entries.len() - model.len()) as u64);
+            prop_assert_eq!(contents(&replay), Vec::from(model));
+        }
     }
 
     /// Cut into batches and put together again it is the same sequence, and no batch mixes actors.
     #[test]
     fn batches_follow_the_queue(
         capacity in 1usize..12, most in 1usize..6, entries in prop::collection::vec(plain(), 1..40),
+        element in prop::sample::select(ELEMENTS.to_vec()),
     ) {
-        let (replay, model) = filled(capacity, &entries);
+        let (replay, model) = filled_with(capacity, element, &entries);
         let mut batch = Batch::default();
         let mut index = replay.first_index();
         let mut seen = Vec::new();
@@ -163,15 +178,23 @@ proptest! {
     #[test]
     fn files_give_it_back(
         capacity in 1usize..300, entries in prop::collection::vec(plain(), 0..700), more in plain(),
-        earlier in any::<prop::sample::Index>(),
+        earlier in any::<prop::sample::Index>(), element in prop::sample::select(ELEMENTS.to_vec()), walks: bool,
     ) {
+        let mut entries = entries;
+        if walks {
+            // One follows upon the other, as far as the flags let it.
+            (1..entries.len()).for_each(|at| entries[at].obs = entries[at - 1].next);
+        }
         // Files of an earlier state, full segments of which are used again.
-        let (earlier, _) = filled(capacity, &entries[..earlier.index(entries.len() + 1)]);
+        let (earlier, _) = filled_with(capacity, element, &entries[..earlier.index(entries.len() + 1)]);
         let old = files(&earlier, &Files::new());
-        let (mut replay, _) = filled(capacity, &entries);
+        let (mut replay, _) = filled_with(capacity, element, &entries);
         let new = files(&replay, &old);
-        let mut again = Replay::new(capacity, DIM).unwrap();
+        let mut again = empty(capacity, element);
         read(&mut again, &replay.head(), &new).unwrap();
+        again.relink();
+        let books = [&replay, &again].map(|replay| replay.tails.books().0);
+        prop_assert_eq!(books[0], books[1]);
         prop_assert_eq!(again.first_index(), replay.first_index());
         prop_assert_eq!(again.next_index(), replay.next_index());
         prop_assert_eq!(contents(&again), contents(&replay));
@@ -312,20 +335,38 @@ fn draws_are_uniform_over_what_is_stored() {
     assert!(slots.is_empty());
 }
 
+/// Episodes of ten steps of three actors in turns: one s' for each end of an episode that is stored, and each actor's newest.
+#[test]
+fn a_state_between_two_steps_is_stored_once() {
+    let steps: Vec<(u32, bool, u32)> =
+        (0..300).map(|i| (i % 3, false, if i / 3 % 10 == 9 { TERMINATED } else { 0 })).collect();
+    let history = histories(&steps);
+    for capacity in [1, 2, 3, 60, 299, 300, 1000] {
+        let (replay, model) = filled(capacity, &history);
+        let ends = model.iter().filter(|entry| entry.flags & TERMINATED != 0).count();
+        // The last three steps end episodes.
+        assert_eq!(replay.tails.books().0, ends, "{capacity}");
+        assert_eq!(replay.bytes(), model.len() * bytes_per_transition(DIM) + replay.tails.bytes());
+        assert!(replay.tails.bytes() <= (ends + 4) * 4 * DIM, "{capacity}");
+    }
+}
+
 #[test]
 fn memory_is_accounted_for() {
     let replay = Replay::new(1000, 4).unwrap();
-    assert_eq!(bytes_per_transition(4), 50);
+    assert_eq!(bytes_per_transition(4), 34);
+    let bytes = RowKind { dim: 10 * 10 * 4, element: Element::U8 };
+    assert_eq!(bytes_per_transition(bytes), 418);
+    let (_, tails) = replay.tails.books();
     let reserved = 4
         * (replay.obs.capacity()
-            + replay.next.capacity()
             + replay.action.capacity()
             + replay.reward.capacity()
             + replay.mentor.capacity())
         + replay.links.reserved()
         + replay.flags.capacity()
         + replay.actor.capacity();
-    assert_eq!(replay.bytes(), reserved);
+    assert_eq!((1000 * bytes_per_transition(4), 1000 * 16), (reserved, tails));
     let error = Replay::new(usize::MAX / 64, 4).unwrap_err();
     assert!(error.to_string().contains("learner.replay"), "{error}");
 }

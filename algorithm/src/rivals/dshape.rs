@@ -139,22 +139,21 @@ impl DShape {
                 discount *= self.gamma;
                 count += 1;
             }
-            let (start, end) = (replay.get(slot).transition, replay.get(last).transition);
+            let (start, end) = (replay.obs(slot).to_vec(), replay.next_obs(last).to_vec());
             let [first, then] = match self.drawn(replay, slot) {
-                None => [&start.obs[self.dim..], &end.next_obs[self.dim..]],
+                None => [start[self.dim..].to_vec(), end[self.dim..].to_vec()],
                 Some(to) => {
                     // The goal moves on by a state a step, as far as the episode goes.
                     let ahead = replay.path(to, count + 1).last().unwrap_or(to);
-                    [to, ahead].map(|to| &replay.get(to).transition.next_obs[..self.dim])
+                    [to, ahead].map(|to| replay.next_obs(to).to_vec()[..self.dim].to_vec())
                 }
             };
-            let next = if end.terminated() { 0.0 } else { self.potential(&end.next_obs[..self.dim], then) };
-            let added = discount * next - self.potential(&start.obs[..self.dim], first);
-            for (rows, state, goal) in
-                [(&mut self.view.from, start.obs, first), (&mut self.view.to, end.next_obs, then)]
-            {
+            let terminated = replay.get(last).terminated();
+            let next = if terminated { 0.0 } else { self.potential(&end[..self.dim], &then) };
+            let added = discount * next - self.potential(&start[..self.dim], &first);
+            for (rows, state, goal) in [(&mut self.view.from, start, first), (&mut self.view.to, end, then)] {
                 rows.extend_from_slice(&state[..self.dim]);
-                rows.extend_from_slice(goal);
+                rows.extend_from_slice(&goal);
             }
             self.view.added.push(added);
         }

@@ -118,7 +118,7 @@ impl Rival {
     /// The transition in `slot` of `replay` has just been stored.
     pub fn store(&mut self, replay: &Replay, slot: usize) {
         match self {
-            Self::Shaping(shaping) => shaping.store(slot, &replay.get(slot).transition),
+            Self::Shaping(shaping) => shaping.store(replay, slot),
             Self::Transport(transport) => transport.store(slot),
             Self::DShape(dshape) => dshape.store(slot),
             Self::Labels(_) | Self::Gaifo(_) => {}

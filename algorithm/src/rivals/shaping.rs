@@ -7,7 +7,7 @@
 //! Harada and Russell 1999), for episodes that end in a terminal state because of that 0 (Grzes 2017); one that a step
 //! limit cut off bootstraps and so counts Φ(s') as it is.
 
-use crate::replay::Replay;
+use crate::replay::{Entry, Replay};
 use crate::similarity::metric::{Metric, MetricError, kl};
 use trestle_proto::batch::Transition;
 use trestle_proto::experiment::Experiment;
@@ -74,16 +74,18 @@ impl Shaping {
         self.gamma * next - self.potential(transition.obs)
     }
 
-    /// Remembers F of `transition`, which is stored in `slot`.
-    pub fn store(&mut self, slot: usize, transition: &Transition<'_>) {
-        self.added[slot] = self.of(transition);
+    /// Remembers F of the transition in `slot` of `replay`.
+    pub fn store(&mut self, replay: &Replay, slot: usize) {
+        let (mut s, mut next) = (Vec::new(), Vec::new());
+        let Entry { action, reward, flags, .. } = replay.get(slot);
+        let (obs, next_obs) = (replay.obs(slot).wide(&mut s), replay.next_obs(slot).wide(&mut next));
+        self.added[slot] = self.of(&Transition { obs, next_obs, action, reward, flags });
     }
 
     /// Remembers F of all that `replay` holds.
     pub fn store_all(&mut self, replay: &Replay) {
         for index in replay.first_index()..replay.next_index() {
-            let slot = replay.slot(index);
-            self.store(slot, &replay.get(slot).transition);
+            self.store(replay, replay.slot(index));
         }
     }
 

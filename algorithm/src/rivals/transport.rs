@@ -89,7 +89,7 @@ impl Transport {
         }
         self.states.clear();
         for &slot in &self.slots {
-            self.metric.whiten(replay.get(slot).transition.next_obs, &mut self.scratch, &mut self.states);
+            self.metric.whiten(&replay.next_obs(slot).to_vec(), &mut self.scratch, &mut self.states);
         }
         self.judge();
         for (&slot, &reward) in self.slots.iter().zip(&self.best) {

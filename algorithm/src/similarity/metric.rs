@@ -253,6 +253,7 @@ mod tests {
     use super::*;
     use crate::similarity::gaussian::kl_gaussians;
     use proptest::prelude::*;
+    use trestle_proto::row::Element;
 
     #[test]
     fn scales_floor_and_estimates() {
@@ -273,6 +274,8 @@ mod tests {
         let dim = scale.len();
         EnvSpec {
             name: "any".into(),
+            element: Element::F32,
+            shape: Vec::new(),
             low: vec![0.0; dim],
             high: vec![20.0; dim],
             scale: scale.to_vec(),

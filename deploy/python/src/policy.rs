@@ -8,10 +8,13 @@ use trestle_learner::checkpoint;
 use trestle_proto::config::Env;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::round::Round;
-use trestle_qnet::{Encoding, Layout, Workspace, forward, network_of};
+use trestle_qnet::{Conv, Encoding, Layout, Workspace, forward, network_of};
 
 /// Rows that are evaluated at a time.
 const ROWS: usize = 256;
+
+/// A layer as Python gets it.
+type Part = (usize, usize, Vec<f32>, Vec<f32>, Option<(usize, usize, usize, usize, usize, bool)>);
 
 /// The network of a checkpoint.
 #[pyclass]
@@ -85,11 +88,15 @@ impl Policy {
         serde_json::to_string(&self.encoding).map_err(failed)
     }
 
-    /// Each layer's inputs, outputs, weights (`[outputs][inputs]`, row-major) and biases.
-    fn layers(&self) -> Vec<(usize, usize, Vec<f32>, Vec<f32>)> {
+    /// Each layer's inputs, outputs, weights (`[inputs][outputs]`, row-major) and biases; of a convolution also height, width and
+    /// channels of its input, kernel, stride, and whether the channels come first.
+    fn layers(&self) -> Vec<Part> {
         let layer = |layer: &trestle_qnet::Layer| {
             let part = |range: std::ops::Range<usize>| self.weights[range].to_vec();
-            (layer.inputs, layer.outputs, part(layer.weights()), part(layer.bias()))
+            let conv = layer.conv.map(|Conv { grid: g, kernel, stride }| {
+                (g.height, g.width, g.channels, kernel, stride, g.channels_first)
+            });
+            (layer.inputs, layer.outputs, part(layer.weights()), part(layer.bias()), conv)
         };
         self.layout.layers().iter().map(layer).collect()
     }

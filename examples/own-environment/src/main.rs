@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 use trestle::config::{self, Preset, accepts::between};
 use trestle::env::{EnvError, Environment, Kind, Step};
-use trestle::{EnvSpec, Stream, codec, rand::Rng, settings};
+use trestle::{Element, EnvSpec, Stream, codec, rand::Rng, settings};
 
 fn main() -> ExitCode {
     trestle::Program::new().environment::<CartPole>("cart-pole").main()
@@ -56,6 +56,8 @@ impl Kind for CartPole {
         let bounds = [MAX_POSITION as f32, 3.0, MAX_ANGLE as f32, 3.0];
         let spec = EnvSpec {
             name: "cart-pole".into(),
+            element: Element::F32,
+            shape: Vec::new(),
             low: bounds.map(|bound| -bound).to_vec(),
             high: bounds.to_vec(),
             scale: vec![0.02, 0.2, 0.02, 0.3],

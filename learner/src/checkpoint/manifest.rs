@@ -14,7 +14,7 @@ use trestle_proto::regular_file;
 use trestle_proto::round::Round;
 
 /// Version of the layout of checkpoints: any change raises it.
-pub const FORMAT: u32 = 9;
+pub const FORMAT: u32 = 10;
 /// The oldest layout whose policy can be read. Runs go on from checkpoints of the present layout alone.
 const OLDEST: u32 = 4;
 /// A file that formats up to 6 had with `run.lag = 1`.

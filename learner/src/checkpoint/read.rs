@@ -273,14 +273,14 @@ fn pending(
     let path = dir.join(&entry.name);
     let refuse = |message: &str| contents(&path)(message);
     let words = words(dir, entry, PENDING_HEAD)?;
-    let (obs_dim, run) = (experiment.spec.obs_dim(), &experiment.config.run);
+    let (row, run) = (experiment.spec.row(), &experiment.config.run);
     let (mut rest, mut batches) = (&words[..], Vec::new());
     for actor in 0..run.actors {
-        let part = Part::take(&mut rest, obs_dim)
+        let part = Part::take(&mut rest, row)
             .filter(|part| part.actor == actor && part.count == run.rollout)
             .ok_or_else(|| refuse("not a batch of each actor"))?;
-        let (count, obs_dim_word) = (part.count, obs_dim as u32);
-        let header = BatchHeader { actor, count, obs_dim: obs_dim_word, ..BatchHeader::default() };
+        let (count, obs_dim, element) = (part.count, row.dim as u32, row.element.code());
+        let header = BatchHeader { actor, count, obs_dim, element, ..BatchHeader::default() };
         let mut batch = Checked::<Batch>::default();
         batch.receive(header, part.payload, &experiment.spaces()).map_err(contents(&path))?;
         batches.push(batch);

@@ -123,8 +123,9 @@ impl Squares {
         let fade = |steps: u64| 0.5f64.powf(steps as f64 / HALF_LIFE);
         let faded = fade(next.saturating_sub(self.counted));
         self.visits.iter_mut().for_each(|visits| *visits *= faded);
+        let mut wide = Vec::new();
         for index in uncounted(replay, self.counted) {
-            if let Some(square) = self.square(replay.get(replay.slot(index)).transition.obs) {
+            if let Some(square) = self.square(replay.obs(replay.slot(index)).wide(&mut wide)) {
                 self.visits[square] += fade(next - 1 - index);
             }
         }

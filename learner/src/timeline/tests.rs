@@ -110,7 +110,8 @@ fn without_a_map_moments_tell_of_the_newest_states() {
         .filter(|index| index % every == 0)
         .flat_map(|index| {
             let replay = walk.agent.replay();
-            replay.get(replay.slot(index)).transition.obs.iter().map(|&x| (f64::from(x) * 1e4).round() / 1e4)
+            let obs = replay.obs(replay.slot(index)).wide(&mut Vec::new()).to_vec();
+            obs.into_iter().map(|x| (f64::from(x) * 1e4).round() / 1e4)
         })
         .collect();
     let told: Vec<f64> = last["states"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();

@@ -23,8 +23,9 @@ impl Visits {
         let next = replay.next_index();
         let newest = next.saturating_sub(APART * MOST as u64);
         let from = self.seen.max(replay.first_index()).max(newest);
+        let mut wide = Vec::new();
         for index in (from..next).filter(|index| index.is_multiple_of(APART)) {
-            self.kept.push_back(head.point(replay.get(replay.slot(index)).transition.obs));
+            self.kept.push_back(head.point(replay.obs(replay.slot(index)).wide(&mut wide)));
         }
         self.seen = next;
         let surplus = self.kept.len().saturating_sub(MOST);

@@ -61,9 +61,10 @@ impl Way {
 
     fn count(&mut self, agent: &Agent) {
         let replay = agent.replay();
+        let mut wide = Vec::new();
         for index in uncounted(replay, self.counted) {
             self.place.clear();
-            self.goal.place(replay.get(replay.slot(index)).transition.next_obs, &mut self.place);
+            self.goal.place(replay.next_obs(replay.slot(index)).wide(&mut wide), &mut self.place);
             self.path.near(&self.place, &mut self.stack, &mut self.hits);
             self.hits.iter().for_each(|hit| self.visited[hit.state as usize] += 1);
         }

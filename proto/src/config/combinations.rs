@@ -1,6 +1,7 @@
 //! Rules over several settings, which no setting's own declaration can state.
 
 use super::accepts::{at_least, between};
+use super::learner::MAX_HIDDEN;
 use super::{Algo, Config, ConfigError, Field, GuideKind, HazardKind, Mode, RivalKind, refuse};
 use crate::limits::{MAX_REPLAY, TRANSITIONS_BUFFER};
 
@@ -64,6 +65,9 @@ impl Config {
     /// A gradient step finds as many transitions as it samples.
     fn check_learner(&self) -> Result<(), ConfigError> {
         let learner = &self.learner;
+        let (convs, most) = (learner.conv.len(), MAX_HIDDEN - learner.conv.len().min(MAX_HIDDEN));
+        let accepted = format!("{most} layers behind {convs} convolutions");
+        require(learner.hidden.len() <= most, "learner.hidden", learner.hidden.shown(), &accepted)?;
         let warm = at_least(learner.batch as u64).test(&learner.warmup);
         require(warm, "learner.warmup", learner.warmup, "learner.batch or more")?;
         let holds = between(learner.batch, MAX_REPLAY).test(&learner.replay);

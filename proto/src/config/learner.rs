@@ -1,6 +1,7 @@
 //! `[exploration]` and `[learner]`: ε-greedy exploration; replay, network and gradient steps.
 
-use super::accepts::{above, above_up_to, at_least, below, between, list};
+use super::accepts::{Accepts, above, above_up_to, at_least, below, between, list};
+use super::conv::ConvLayer;
 use crate::limits::{MAX_N_STEP, MAX_REPLAY, MAX_SIZES, MAX_WIDTH};
 use crate::{choices, settings};
 
@@ -39,12 +40,31 @@ choices! {
     }
 }
 
+choices! {
+    /// Where an observation has its channels.
+    pub enum Channels {
+        /// Height, width, channels.
+        Last = "last",
+        /// Channels, height, width.
+        First = "first",
+    }
+}
+
 /// Hidden layers at most: input and output are sizes of the network, too.
 pub(super) const MAX_HIDDEN: usize = MAX_SIZES - 2;
 
 settings! {
     /// `[learner]`
     pub struct Learner {
+        /// Convolutions in front of the hidden layers, each `{ channels = 16, kernel = 3, stride = 1 }`: a square kernel wherever it fits,
+        /// and a ReLU. Only for an observation that is one array of 2 or 3 dimensions. Convolutions and hidden layers are at most 6
+        /// together.
+        conv: Vec<ConvLayer> = Vec::new(), Accepts::when(
+            Vec::<ConvLayer>::accepted(),
+            |layers: &Vec<ConvLayer>| layers.len() < MAX_HIDDEN && layers.iter().all(ConvLayer::in_range),
+        );
+        /// Which dimension of an observation with 3 has the channels of the convolution; the others are height and width.
+        conv_channels: Channels = Channels::Last;
         /// Units of each hidden layer.
         hidden: Vec<usize> = vec![128, 128], list(1..=MAX_HIDDEN, between(1, MAX_WIDTH))
             .in_words(format!("1 to {MAX_HIDDEN} layers of 1 to {MAX_WIDTH} units"));

@@ -9,6 +9,7 @@ pub mod accepts;
 mod arm;
 mod before;
 mod combinations;
+mod conv;
 mod defaults;
 mod demos;
 mod environment;
@@ -28,13 +29,14 @@ mod testing;
 mod threshold;
 mod upkeep;
 
+pub use conv::ConvLayer;
 pub use demos::{Demos, ONLY, PLAN};
 pub use environment::{EncodingKind, Env, SHARED};
 pub use environments::{Environments, declared};
 pub use error::{ConfigError, refuse};
 pub use hazard::{Hazard, HazardKind, HazardScope};
 pub use learned::Learned;
-pub use learner::{Backend, Exploration, GuideKind, Learner, LossKind, TargetKind};
+pub use learner::{Backend, Channels, Exploration, GuideKind, Learner, LossKind, TargetKind};
 pub use load::{Preset, from_table, load, load_with, parse_toml, to_toml};
 pub use mentor::{
     CombineKind, CovarianceKind, DrawKind, InferenceKind, Mentor, MetricKind, RewardKind, Shaping,

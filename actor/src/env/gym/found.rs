@@ -3,6 +3,7 @@
 
 use super::GymError;
 use serde::{Deserialize, Serialize};
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 /// An environment as it was found.
@@ -51,6 +52,10 @@ pub struct Features {
     pub categories: Vec<usize>,
     /// Whether all of them are whole numbers.
     pub integral: bool,
+    /// The type that holds each of them: one byte where their spaces say so.
+    pub element: Element,
+    /// Shape of the one array that they are, whole and in its order; empty where they are none.
+    pub shape: Vec<usize>,
 }
 
 impl Features {
@@ -106,6 +111,8 @@ impl Found {
         let f = &self.features;
         EnvSpec {
             name: format!("gym {}", self.name),
+            element: f.element,
+            shape: f.shape.clone(),
             low: f.range.iter().map(|range| range[0] as f32).collect(),
             high: f.range.iter().map(|range| range[1] as f32).collect(),
             scale: f.step.iter().map(|&step| step as f32).collect(),
@@ -135,6 +142,8 @@ mod tests {
             step: vec![1.0; 3],
             categories: vec![2],
             integral: false,
+            element: Element::F32,
+            shape: vec![3],
         };
         let states = [1.0, 5.0, 0.0, 3.0, 5.0, 1.0, 2.0, 5.0, 2.0];
         features.spread_over(&states);

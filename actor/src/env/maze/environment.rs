@@ -6,6 +6,7 @@ use crate::env::{EnvError, Environment, Impossible, Step, within};
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::rng::Stream;
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 // The four rewards are known values. Which of them applies where is partly our choice, because the paper's wording
@@ -136,6 +137,8 @@ fn spec(name: &str, step_limit: u32, map: &Map, set: &ActionSet, optimum: usize)
     let last = |side: usize| side.saturating_sub(1).max(1) as f32;
     EnvSpec {
         name: format!("maze {name}"),
+        element: Element::F32,
+        shape: Vec::new(),
         low: vec![0.0; 2],
         high: vec![last(map.columns()), last(map.rows())],
         scale: vec![1.0; 2],

@@ -12,6 +12,7 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::rng::Stream;
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 /// Reward of every step. `goal_reward` is added where the goal is reached, for the learner alone.
@@ -135,6 +136,8 @@ fn spec(settings: &Settings, geometry: &Geometry, forces: &[Force]) -> EnvSpec {
     let narrow = |values: [f64; 4]| values.map(|value| value as f32).to_vec();
     EnvSpec {
         name: format!("point-maze {}", settings.map),
+        element: Element::F32,
+        shape: Vec::new(),
         low: narrow([low[0], low[1], -top, -top]),
         high: narrow([high[0], high[1], top, top]),
         scale: narrow([stride, stride, change, change]),

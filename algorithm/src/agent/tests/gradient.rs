@@ -134,8 +134,9 @@ fn naive_terms(
     let mut terms = Vec::new();
     for (at, &slot) in slots.iter().enumerate() {
         let entry = agent.replay().get(slot as usize);
-        let own = entry.transition;
-        let q_o = naive_q(agent, online, own.obs)?[own.action as usize];
+        let (own, mut scratch) = (entry, Vec::new());
+        let obs_o = agent.replay().obs(slot as usize).wide(&mut scratch);
+        let q_o = naive_q(agent, online, obs_o)?[own.action as usize];
         let j = match settings.draw {
             DrawKind::Similar => entry.mentor,
             DrawKind::Uniform => drawn.get(at).map(|&j| j as usize),
@@ -182,7 +183,7 @@ fn naive_terms(
         let beyond = if end.transition().terminated() { 0.0 } else { value(&end.next_obs)? };
         let (target, transition) = (reward + discount * beyond, own);
         let own = if settings.combine == CombineKind::Beside { 1.0 } else { 1.0 - phi };
-        terms.push(Naive { obs: transition.obs.to_vec(), action: transition.action, target, weight: own });
+        terms.push(Naive { obs: obs_o.to_vec(), action: transition.action, target, weight: own });
     }
     Some(terms)
 }
@@ -295,7 +296,7 @@ fn past_values_are_set_at_insertion_and_refreshed_when_drawn() {
             assert!(past_o.is_nan());
             continue;
         };
-        close(past_o, q(&agent, entry.transition.obs, entry.transition.action));
+        close(past_o, q(&agent, agent.replay().obs(slot).wide(&mut Vec::new()), entry.action));
         let m = agent.mentor.as_ref().unwrap();
         match naive_mentor(&agent, &m.annotations, &m.transitions, j, 0.0) {
             Some((action, ..)) => {
@@ -316,8 +317,9 @@ fn past_values_are_set_at_insertion_and_refreshed_when_drawn() {
     for (slot, before) in before.iter().enumerate() {
         let (entry, [past_o, _]) = (agent.replay().get(slot), past(&agent, &memory, slot));
         if entry.mentor.is_some() && drawn.contains(&(slot as u32)) {
-            let t = entry.transition;
-            close(past_o, naive_q(&agent, &weights, t.obs).unwrap()[t.action as usize] as f32);
+            let mut scratch = Vec::new();
+            let values = naive_q(&agent, &weights, agent.replay().obs(slot).wide(&mut scratch)).unwrap();
+            close(past_o, values[entry.action as usize] as f32);
         } else {
             assert_eq!(past_o.to_bits(), before.to_bits());
         }

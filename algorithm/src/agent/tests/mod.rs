@@ -9,9 +9,11 @@ mod gradient;
 use super::Agent;
 use crate::testing::{N_ACTIONS, World, demonstration, experiment};
 use trestle_proto::batch::Spaces;
+use trestle_proto::row::{Element, RowKind};
 
 /// Those of the test's plans, with room for more actors.
-const SPACES: Spaces = Spaces { actors: 8, obs_dim: 2, n_actions: N_ACTIONS as usize };
+const SPACES: Spaces =
+    Spaces { actors: 8, row: RowKind { dim: 2, element: Element::F32 }, n_actions: N_ACTIONS as usize };
 
 /// A new agent and its world.
 fn agent(sets: &[&str], seed: u64) -> (Agent, World) {

@@ -96,16 +96,21 @@ class _Parts:
         self.bounds: list[tuple[float, float]] = []
         self.categories: list[int] = []
         self.integral: list[bool] = []
+        #: Whether one byte holds all values of the feature.
+        self.bytes: list[bool] = []
+        #: Place of the first feature, and shape, of each array.
+        self.arrays: list[tuple[int, list[int]]] = []
         self.layout = self._add(space, "")
         if len(self.names) > _trestle.MAX_FEATURES:
             raise Refused(f"the observation space has {len(self.names)} features; accepted: 1 to {_trestle.MAX_FEATURES}")
 
-    def _feature(self, name: str, low: float, high: float, *, category: bool = False, integral: bool) -> None:
+    def _feature(self, name: str, low: float, high: float, *, category: bool = False, integral: bool, byte: bool) -> None:
         if category:
             self.categories.append(len(self.names))
         self.names.append(name)
         self.bounds.append((low, high))
         self.integral.append(integral)
+        self.bytes.append(byte)
 
     def _array(self, name: str, space: spaces.Space[Any], low: Any, high: Any, category: bool) -> dict[str, Any]:
         shape = list(space.shape or ())
@@ -118,6 +123,8 @@ class _Parts:
         integral = not np.issubdtype(space.dtype, np.floating)
         lows = np.broadcast_to(np.asarray(low, dtype=np.float64), shape)
         highs = np.broadcast_to(np.asarray(high, dtype=np.float64), shape)
+        self.arrays.append((len(self.names), shape))
+        small = space.dtype in (np.uint8, np.bool_) or isinstance(space, spaces.MultiBinary)
         for index in np.ndindex(*shape):
             at = ",".join(map(str, index))
             # One value is no choice.
@@ -128,6 +135,7 @@ class _Parts:
                 float(highs[index]),
                 category=choice,
                 integral=integral,
+                byte=small or (category and lows[index] >= 0 and highs[index] <= 255),
             )
         return {"kind": "box", "shape": shape, "dtype": str(space.dtype)}
 
@@ -146,7 +154,7 @@ class _Parts:
                     raise Refused(
                         f"an observation of {_shown(space)} has {n} values, each an input of the network; accepted: up to {_MAX_INPUTS}"
                     )
-                self._feature(name or "state", 0.0, float(n - 1), category=n > 1, integral=True)
+                self._feature(name or "state", 0.0, float(n - 1), category=n > 1, integral=True, byte=n <= 256)
                 return {"kind": "discrete", "n": n, "start": start}
             case spaces.MultiBinary():
                 return self._array(name, space, 0, 1, True)
@@ -425,6 +433,8 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
             "step": steps,
             "categories": categories,
             "integral": all(parts.integral[i] for i in places),
+            "element": "u8" if all(parts.bytes[i] for i in places) else "f32",
+            "shape": next((s for first, s in parts.arrays if places == list(range(first, first + math.prod(s)))), []),
         },
         "actions": actions,
         "threshold": None if threshold is None else float(threshold),

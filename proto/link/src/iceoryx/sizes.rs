@@ -46,7 +46,7 @@ impl Sizes {
             obs_dim: experiment.spec.obs_dim(),
             spaces: experiment.spaces(),
             network: network.into_iter().map(|n| n as u32).collect(),
-            batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.obs_dim()),
+            batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.row()),
             acting: experiment.acting(),
             own: experiment.own_room(),
             mentor_len: experiment.mentor_len(),
@@ -76,7 +76,7 @@ impl Sizes {
 
     /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
     pub(super) fn observe_answer_words(&self) -> usize {
-        let rollout = self.batch_words / batch::words(1, self.obs_dim);
+        let rollout = self.batch_words / batch::words(1, self.spaces.row);
         self.actors * (rollout + 1) + self.annotation_rows() * record_words(self.obs_dim)
     }
 

@@ -12,6 +12,7 @@ use trestle_proto::experiment::{Experiment, MentorPart};
 use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed, Part};
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::query::{OK, OUT_OF_RANGE, QueryAnswer, QueryRequest, SIMILAR};
+use trestle_proto::row::Element;
 use trestle_proto::space::EnvSpec;
 
 /// Longer than anything takes that comes at all.
@@ -32,6 +33,8 @@ pub fn plan(mode: &str) -> RunPlan {
     let config: Config = config::from_table(&(), config::Table::new(), &overrides).unwrap();
     let spec = EnvSpec {
         name: "test".into(),
+        element: Element::F32,
+        shape: Vec::new(),
         low: vec![0.0; 2],
         high: vec![9.0; 2],
         scale: vec![1.0; 2],
@@ -67,8 +70,10 @@ impl MentorHandler for Canned {
         if request.first_index > 1000 {
             return ObserveAnswer { status: OUT_OF_RANGE, ..Default::default() };
         }
+        let mut wide = Vec::new();
         while let Some(part) = Part::take(&mut payload, request.obs_dim as usize) {
-            let batch = part.check(&Spaces { actors: ACTORS, obs_dim: 2, n_actions: 3 }).unwrap();
+            let batch =
+                part.check(&Spaces { actors: ACTORS, row: 2.into(), n_actions: 3 }, &mut wide).unwrap();
             let mut table = AnnotationTable::new(MENTOR, 2, 3);
             table.set_estimate(
                 part.actor as usize,
