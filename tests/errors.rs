@@ -59,7 +59,7 @@ fn maps() {
 #[test]
 fn settings() {
     let place = Place::new();
-    let cases: [(&str, &[&str]); 18] = [
+    let cases: [(&str, &[&str]); 20] = [
         ("learner.gamma=1.5", &["learner.gamma = 1.5", "accepted: 0 to 1"]),
         ("learner.lr=0", &["learner.lr = 0", "above 0"]),
         ("learner.lr=nan", &["learner.lr = nan", "above 0"]),
@@ -67,6 +67,8 @@ fn settings() {
         ("learner.batch=many", &["learner.batch", "many"]),
         ("learner.hidden=[]", &["learner.hidden = []", "1 to 6 layers"]),
         ("learner.hidden=[64, 0]", &["learner.hidden = [64, 0]", "1 to 4096"]),
+        ("learner.conv=[{channels=0,kernel=3}]", &["learner.conv", "channels, kernel, stride", "1 to 4096"]),
+        ("learner.conv=[{channels=4,kernel=2}]", &["1 convolutions", "maze", "2 separate features"]),
         ("learner.replay=8", &["learner.replay = 8", "learner.batch"]),
         ("learner.gama=0.9", &["learner", "gama", "gamma"]),
         ("run.actors=65", &["run.actors = 65", "1 to 64"]),

@@ -15,6 +15,7 @@ import pytest
 
 import trestle
 from conftest import SMALL
+from envs import Spaces
 
 OVERRIDES: dict[str, Any] = {key: (value if not value.startswith("[") else [16]) for key, value in SMALL.items()}
 OVERRIDES = {key: int(value) if isinstance(value, str) and value.isdigit() else value for key, value in OVERRIDES.items()}
@@ -160,6 +161,42 @@ def test_exports_agree_with_the_policy(tmp_path: Path, id: str) -> None:
     (values,) = session.run(["q_values"], {"observation": features})
     np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-6)
     env.close()
+
+
+@pytest.mark.parametrize(("observation", "channels"), [("grid", "last"), ("planes", "first"), ("flat", "last")])
+def test_convolutions_are_exported_as_they_compute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, observation: str, channels: str
+) -> None:
+    monkeypatch.chdir(Path(__file__).parent)
+    own = {
+        "env.gym.make": "envs:Spaces",
+        "env.gym.kwargs": {"observation": observation},
+        "learner.conv": [{"channels": 7, "kernel": 3}, {"channels": 4, "kernel": 2, "stride": 2}],
+        "learner.conv_channels": channels,
+    }
+    made = trestle.train("gym", algo="dqn", env_steps=600, overrides=OVERRIDES | own, out=tmp_path / "run")
+    policy, space = made.policy(), Spaces(observation).observation_space
+    space.seed(1)
+    obs = np.stack([space.sample() for _ in range(20)])
+    expected, (features, _) = policy.q_values(obs), policy.features(obs)
+
+    def export(form: str) -> Path:
+        out = tmp_path / f"network.{form}"
+        command = [sys.executable, "-m", "trestle", "export", str(made.path), "--format", form, "--out", str(out)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return out
+
+    onnxruntime = pytest.importorskip("onnxruntime")
+    session = onnxruntime.InferenceSession(export("onnx"), providers=["CPUExecutionProvider"])
+    (values,) = session.run(["q_values"], {"observation": features})
+    np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-6)
+    safetensors = pytest.importorskip("safetensors.numpy")
+    loaded = safetensors.load_file(export("safetensors"))
+    depth = 1 if observation == "flat" else 2
+    assert loaded["layers.0.weight"].shape == (7, depth, 3, 3) and loaded["layers.1.weight"].shape == (4, 7, 2, 2)
+    torch = pytest.importorskip("torch")
+    values = policy.to_torch()(torch.from_numpy(features)).detach().numpy()
+    np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_module_of_torch_agrees_with_the_policy(run: trestle.Run) -> None:

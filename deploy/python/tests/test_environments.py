@@ -92,6 +92,22 @@ def test_what_cannot_be_used_is_refused(trestle: Trestle, own: dict[str, str], w
     assert said.startswith("error: ") and all(word in said for word in words), said
 
 
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ({}, ["learner.conv has 1 convolutions", "none, as its observation is an array of the shape [1]"]),
+        ({"env.gym.make": "envs:Spaces", "env.gym.kwargs": "{observation='tuple'}"}, ["none, as its observation is 3 separate features"]),
+        ({"env.gym.make": "envs:Spaces", "env.gym.kwargs": "{observation='bytes'}"}, ["kernel 3", "2 x 2 grid: a kernel of 1 to 2"]),
+        ({"learner.conv": "[{channels=4}]"}, ["learner.conv", "accepted: tables { channels, kernel, stride }"]),
+        ({"learner.conv": "[{channels=4,kernel=65}]"}, ["learner.conv", "accepted: tables { channels, kernel, stride }"]),
+    ],
+)
+def test_convolutions_need_a_grid(trestle: Trestle, own: dict[str, str], words: list[str]) -> None:
+    settings = sets({"env.gym.make": "envs:Line", "learner.conv": "[{channels=4,kernel=3}]"} | own)
+    said = trestle("train", "gym", "--algo", "dqn", "--env-steps", 100, "--out", "run", *settings, ok=False).stderr
+    assert said.startswith("error: ") and all(word in said for word in words), said
+
+
 def test_a_refused_run_leaves_nothing(trestle: Trestle, tmp_path: Path) -> None:
     trestle("train", "gym:No-Such-v0", "--algo", "dqn", "--out", "run", ok=False)
     assert not (tmp_path / "run").exists()

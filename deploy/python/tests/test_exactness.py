@@ -23,6 +23,15 @@ ENVIRONMENTS: list[tuple[str, str, dict[str, str]]] = [
     ("gym:FrozenLake-v1", "gymnasium", {}),
     ("gym:Taxi-v4", "gymnasium", {}),
     ("gym:minigrid:MiniGrid-Dynamic-Obstacles-5x5-v0", "minigrid", {"env.gym.features": "['direction', 'image']"}),
+    (
+        "gym",
+        "gymnasium",
+        {
+            "env.gym.make": "envs:Spaces",
+            "env.gym.kwargs": "{observation='grid'}",
+            "learner.conv": "[{channels=5,kernel=3},{channels=4,kernel=2,stride=2}]",
+        },
+    ),
     # Sticky actions would not repeat: MinAtar's first one depends on the episode before, whatever the seed is.
     ("gym", "minatar", {"env.gym.make": "minatar.gym:BaseEnv", "env.gym.kwargs": "{game='breakout', sticky_action_prob=0.0}"}),
 ]
