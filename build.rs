@@ -10,6 +10,9 @@ use std::process::Command;
 const SOURCES: [&str; 8] =
     ["Cargo.toml", "actor", "algorithm", "deploy", "learner", "mentor-server", "proto", "qnet"];
 
+/// Other projects among them.
+const OTHERS: [&str; 2] = ["python", "relay"];
+
 fn main() -> io::Result<()> {
     println!("cargo::rerun-if-changed=.git/HEAD");
     println!("cargo::rerun-if-changed=.git/refs/heads");
@@ -36,13 +39,17 @@ fn main() -> io::Result<()> {
     Ok(())
 }
 
-/// What is in `source`, or `source` itself where it is a file. The Python package is a project of its own.
+/// What is in `source`, or `source` itself where it is a file. The Python package and the relay are projects of their own.
 fn below(source: &Path) -> io::Result<Vec<PathBuf>> {
     if source.is_file() {
         return Ok(vec![source.to_path_buf()]);
     }
     let all = fs::read_dir(source)?.map(|entry| Ok(entry?.path()));
-    Ok(all.collect::<io::Result<Vec<_>>>()?.into_iter().filter(|path| !path.ends_with("python")).collect())
+    Ok(all
+        .collect::<io::Result<Vec<_>>>()?
+        .into_iter()
+        .filter(|path| !OTHERS.iter().any(|other| path.ends_with(other)))
+        .collect())
 }
 
 /// The Rust sources, and what is compiled in, in and below `path`.

@@ -4,6 +4,9 @@ use serde::Serialize;
 use trestle_actor::env::registry;
 use trestle_proto::config::{self, Environments, Table};
 
+/// What tells the sources that this was built from: 16 digits that another source would hardly have.
+pub const BUILD: &str = env!("TRESTLE_SOURCES");
+
 /// The contents of `build.json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct BuildInfo {

@@ -1,5 +1,6 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
+use crate::carrier::{Network, Remote};
 use crate::flags::{Limits, Target, help, presets, setting, whole, word};
 use crate::submit::options::Options;
 use crate::sweep::arms::Arm;
@@ -11,6 +12,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
+use trestle_hosts::limits::MAX_SILENCE_S;
 use trestle_mentor_server::import::{Columns, Episodes};
 use trestle_proto::config::{Algo, Config as Settings, Mode};
 use trestle_proto::incarnation::Incarnation;
@@ -59,12 +61,20 @@ pub(crate) enum Command {
     Config(Config),
     /// Look at what runs need from this machine, and at what dead runs have left
     Doctor(Doctor),
+    /// Lend this machine's processors to a run that another machine trains
+    Join(Join),
+    /// Work with what hosts of one run need
+    #[command(subcommand)]
+    Hosts(HostsCommand),
     /// One actor process of a run (started by `train`)
     Actor(ActorRole),
     /// The learner process of a run (started by `train`)
     Learner(Role),
     /// The mentor-server process of a run (started by `train`)
     MentorServer(Role),
+    /// The process of a run that speaks to other hosts (started by `train` and `join`)
+    #[command(subcommand)]
+    Relay(RelayRole),
     /// Remove what a run without a supervisor has shared
     #[command(hide = true)]
     Orphaned {
@@ -109,6 +119,8 @@ pub(crate) struct Train {
     #[arg(long)]
     pub(crate) overwrite: bool,
     #[command(flatten)]
+    pub(crate) remote: Remote,
+    #[command(flatten)]
     pub(crate) beside: Beside,
     /// Print the result only
     #[arg(long)]
@@ -127,9 +139,87 @@ impl Train {
         let run = &mut config.run;
         run.seed = self.seed.unwrap_or(run.seed);
         run.mode = self.mode.unwrap_or(run.mode);
-        run.actors = self.actors.unwrap_or(run.actors);
+        // Those that are typed are this host's.
+        let typed = self.actors.map(|here| here.saturating_add(self.remote.remote_actors.unwrap_or(0)));
+        run.actors = typed.unwrap_or(run.actors);
         self.limits.apply(config);
     }
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Join {
+    /// Where the run listens, such as tls/head:7447
+    #[arg(value_name = "URL")]
+    pub(crate) url: String,
+    /// Actors to run here, at the most
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u64::from(MAX_ACTORS)))]
+    pub(crate) actors: u32,
+    /// What the run calls this host; its own name if not given
+    #[arg(long, value_name = "NAME")]
+    pub(crate) name: Option<String>,
+    #[command(flatten)]
+    pub(crate) network: Network,
+    /// Seconds to wait for a run that does not answer
+    #[arg(long, value_name = "SECONDS", default_value_t = 1800, value_parser = whole::<u32>(1..=u64::from(MAX_SILENCE_S)))]
+    pub(crate) wait: u32,
+    /// Print nothing but errors
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum HostsCommand {
+    /// Make certificates for a run over several hosts
+    Credentials {
+        /// The directory to write head.pem and join.pem into
+        #[arg(long, value_name = "DIR", value_parser = Target)]
+        out: PathBuf,
+        /// A name or an address by which other hosts reach the one that trains; may be repeated
+        #[arg(long = "name", value_name = "HOST", required = true)]
+        names: Vec<String>,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum RelayRole {
+    /// On the host of the learner
+    Head {
+        #[command(flatten)]
+        role: Role,
+        /// The first of the actors that are on other hosts
+        #[arg(long, value_name = "ACTOR")]
+        first: u32,
+        /// Where other hosts reach this one
+        #[arg(long, value_name = "URL")]
+        listen: String,
+        #[command(flatten)]
+        network: Network,
+        /// How often it has been replaced
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        replacements: u16,
+    },
+    /// On a host that has joined
+    Joined {
+        #[command(flatten)]
+        role: Role,
+        /// Where the run listens
+        #[arg(long, value_name = "URL")]
+        url: String,
+        /// The run's identity on this host
+        #[arg(long, value_name = "N")]
+        identity: u64,
+        /// Actors that this host offers
+        #[arg(long, value_name = "N")]
+        actors: u32,
+        /// The name of this host
+        #[arg(long, value_name = "NAME")]
+        name: String,
+        #[command(flatten)]
+        network: Network,
+        /// Seconds to wait for an answer
+        #[arg(long, value_name = "SECONDS")]
+        wait: u32,
+    },
 }
 
 /// A run has its configuration with it, so it need not be typed again.
@@ -144,6 +234,8 @@ pub(crate) struct Resume {
     /// `[supervise]`; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
+    #[command(flatten)]
+    pub(crate) remote: Remote,
     #[command(flatten)]
     pub(crate) beside: Beside,
     /// Print the result only
@@ -309,8 +401,7 @@ pub(crate) struct Eval {
     /// Seed of the episodes' random streams; the run's own if not given
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"))]
     pub(crate) seed: Option<u64>,
-    /// Draw the first episode into a file: .gif in motion, .png, .svg or .pdf still; on its map, or as the environment renders
-    /// itself (no .pdf)
+    /// Draw the first episode into a file: .gif in motion, .png or .svg still; on its map, or as the environment renders itself
     #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) picture: Option<PathBuf>,
     /// Replace the picture if it exists
@@ -423,10 +514,10 @@ pub(crate) struct Inspect {
     /// The two features that are drawn, by their places: `0,1`
     #[arg(long, value_name = "X,Y", value_parser = pair)]
     pub(crate) axes: Option<[usize; 2]>,
-    /// Draw the trajectories into this file as well: .svg, .png or .pdf
-    #[arg(long, alias = "svg", value_name = "FILE", value_parser = Target)]
-    pub(crate) picture: Option<PathBuf>,
-    /// Replace the picture if it exists
+    /// Draw the trajectories into this SVG file as well
+    #[arg(long, value_name = "FILE", value_parser = Target)]
+    pub(crate) svg: Option<PathBuf>,
+    /// Replace the SVG file if it exists
     #[arg(long)]
     pub(crate) overwrite: bool,
 }

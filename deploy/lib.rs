@@ -24,6 +24,7 @@
 mod output;
 
 mod build_info;
+mod carrier;
 mod cli;
 mod commands;
 mod export;
@@ -44,7 +45,8 @@ use trestle_link::iceoryx::SharedMemory;
 /// How the processes of this program's runs exchange their messages. No other line of the program names a transport.
 const TRANSPORT: SharedMemory = SharedMemory;
 
-pub use program::{BUILD, Program};
+pub use build_info::BUILD;
+pub use program::Program;
 pub use rand;
 pub use trestle_actor::env;
 pub use trestle_proto::rng::Stream;

@@ -1,5 +1,6 @@
 //! The program: arguments in, one command out. Every process of a run is this program with another subcommand.
 
+use crate::build_info::BUILD;
 use crate::cli::Cli;
 use crate::commands;
 use crate::itself::{self, args};
@@ -16,9 +17,6 @@ pub struct Program {
     environments: Registry,
     again: Vec<String>,
 }
-
-/// What tells the sources that this was built from: 16 digits that another source would hardly have.
-pub const BUILD: &str = env!("TRESTLE_SOURCES");
 
 impl Default for Program {
     fn default() -> Self {

@@ -5,11 +5,15 @@
 
 use bytemuck::{Pod, Zeroable, pod_read_unaligned};
 use std::fs;
+use std::time::Duration;
 use trestle_actor::env::grid::Map;
 use trestle_actor::env::grid::foreign::{Choices, of_numbers, of_text};
 use trestle_actor::env::registry;
 use trestle_actor::worker::{STATE_KIND, Worker};
 use trestle_algorithm::replay::{Bounds, Replay, Span};
+use trestle_hosts::frame::{self, Frame, MAX_FRAME};
+use trestle_hosts::message::{self, FromHead, FromHost, Grant, HELLO_KIND, Hello};
+use trestle_hosts::stream::Stream;
 use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
@@ -30,7 +34,7 @@ use trestle_proto::reply::{EVALUATION_KIND, Evaluation};
 pub type Decoder = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub const ALL: [Decoder; 9] = [
+pub const ALL: [Decoder; 10] = [
     ("messages", messages),
     ("frames", frames),
     ("map", map),
@@ -40,6 +44,7 @@ pub const ALL: [Decoder; 9] = [
     ("import", import),
     ("replay", replay),
     ("manifest", manifest),
+    ("hosts", hosts),
 ];
 
 const DIM: usize = 2;
@@ -238,6 +243,43 @@ fn manifest(bytes: &[u8]) {
     let _ = checkpoint::load_actors(&own);
 }
 
+/// What comes from other hosts: frames as they are, frames that are sound but say anything, and the messages in them.
+fn hosts(bytes: &[u8]) {
+    if let Some(frame) = Frame::decode(bytes) {
+        assert!(frame.bytes.len() < MAX_FRAME && frame.encode() == bytes);
+        let _ = codec::decode::<Hello>(HELLO_KIND, frame.bytes);
+        assert!(!frame.text().contains(char::is_control));
+    }
+    let mut stream = Stream::new(7, 4096);
+    for (at, piece) in bytes.chunks(33).enumerate() {
+        let (head, rest) = piece.split_at(piece.len().min(25));
+        let mut numbers = [0; 24];
+        numbers[..head.len().saturating_sub(1)].copy_from_slice(head.get(1..).unwrap_or_default());
+        let number = |at: usize| u64::from_le_bytes(numbers[8 * at..][..8].try_into().unwrap());
+        let kind = if piece[0] % 2 == 0 { frame::Kind::Chunk } else { frame::Kind::Last };
+        let frame = Frame {
+            kind,
+            session: 7,
+            number: number(0),
+            acknowledged: number(1),
+            room: number(2),
+            bytes: rest,
+        };
+        let now = Duration::from_millis(at as u64);
+        let encoded = frame.encode();
+        stream.receive(&Frame::decode(&encoded).unwrap(), now);
+        while let Ok(Some(message)) = stream.take() {
+            assert!(message.len() <= 4096);
+        }
+        let _ = stream.poll(now);
+    }
+    if let Ok(FromHost::Batch(header, payload)) = FromHost::decode(bytes) {
+        let spaces = Spaces { actors: 3, row: DIM.into(), n_actions: ACTIONS };
+        let _ = Checked::<Batch>::default().receive(*header, &payload, &spaces);
+    }
+    let _ = FromHead::decode(bytes, &[0, 2]);
+}
+
 /// Sound inputs, from which damaged ones are made: a decoder's name and its bytes.
 pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     fn bytes<H: Pod + Zeroable>(header: H, payload: &[u32]) -> Vec<u8> {
@@ -268,6 +310,9 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
          {{\"episodes\": 1, \"env_steps\": 2, \"grad_steps\": 3}}, \"ended\": false, \"files\": [{entries}]}}",
         checkpoint::FORMAT
     );
+    let hello = Hello { build: "0123456789abcdef".into(), name: "b".into(), actors: 2 };
+    let grant = Grant { plan: vec![1, 2, 3], seats: Vec::new(), files: vec![("MANIFEST".into(), vec![4])] };
+    let header_of_acting = ActingHeader::new(7, 0, 4.into(), &[1, 2], &acting);
     vec![
         ("messages", bytes(batch.header, batch.payload())),
         ("messages", bytes(orders, &[])),
@@ -298,5 +343,11 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("foreign_map", b"1 1 1\n1 0 0\n".to_vec()),
         ("replay", [replay.head(), replay.segment(span)].concat()),
         ("manifest", manifest.into_bytes()),
+        ("hosts", Frame::bare(frame::Kind::Last, 7, b"a message").encode()),
+        ("hosts", Frame::bare(frame::Kind::Hello, 0, &codec::encode(HELLO_KIND, &hello).unwrap()).encode()),
+        ("hosts", message::batch(&batch)),
+        ("hosts", message::orders(&orders, &[0, 2], Some((&header_of_acting, &acting)))),
+        ("hosts", message::grant(&grant).unwrap()),
+        ("hosts", [&[1; 9][..], &[0; 24], &[2; 9], &[0; 24]].concat()),
     ]
 }

@@ -21,6 +21,7 @@ mod free;
 mod hazards;
 mod host;
 mod hostile;
+mod hosts;
 mod leftovers;
 mod maps;
 mod mentors;

@@ -5,8 +5,11 @@ mod demo;
 mod doctor;
 mod eval;
 mod export;
+mod hosts;
+mod join;
 mod map;
 mod picture;
+mod relay;
 mod report;
 mod resume;
 mod role;
@@ -41,9 +44,11 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
     if let Command::Train(_)
     | Command::Resume(_)
     | Command::Sweep(_)
+    | Command::Join(_)
     | Command::Actor(_)
     | Command::Learner(_)
-    | Command::MentorServer(_) = &cli.command
+    | Command::MentorServer(_)
+    | Command::Relay(_) = &cli.command
     {
         // What is in a run's directory is its user's alone to write, and a user who may enter the directory may read it,
         // whatever the shell's mask says. Other commands write files of the user's, and go by the mask.
@@ -64,6 +69,9 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::Map(args) => map::run(&args),
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Join(args) => join::run(&args),
+        Command::Hosts(command) => hosts::run(&command),
+        Command::Relay(args) => relay::run(&args),
         Command::Actor(args) => role::actor(&args),
         Command::Learner(args) => role::learner(&args),
         Command::MentorServer(args) => role::mentor_server(&args),

@@ -21,5 +21,5 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
     })
     .with_context(|| format!("{} is no run to go on with", root.display()))?;
     train::show(args.beside, &root)?;
-    train::go(config, &root, Existing::Resume, args.quiet)
+    train::go(config, &root, Existing::Resume, &args.remote, args.quiet)
 }

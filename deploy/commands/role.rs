@@ -34,47 +34,77 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::rundir::RunDir;
 
 /// What every role begins with.
-struct Start {
-    dir: RunDir,
-    plan: RunPlan,
-    stop: Arc<AtomicBool>,
+pub(super) struct Start {
+    pub(super) dir: RunDir,
+    pub(super) plan: RunPlan,
+    orders: Arc<Orders>,
 }
 
-impl Start {
-    fn new(args: &Role, role: &str) -> Result<Self> {
-        let dir = RunDir::new(&args.run);
-        let plan = dir.read_plan()?;
-        logging::init(plan.life.run, role, "info");
+/// What the supervisor has ordered.
+#[derive(Debug, Default)]
+struct Orders {
+    stop: Arc<AtomicBool>,
+    go: AtomicBool,
+}
+
+/// The supervisor's orders to this process.
+#[derive(Clone, Debug)]
+pub(super) struct Ordered(Arc<Orders>);
+
+impl Ordered {
+    /// Begins process `role` of the run `run`, whose directory `args` names.
+    pub(super) fn new(args: &Role, role: &str, run: u64) -> Result<Self> {
+        logging::init(run, role, "info");
         let usual = take_hook();
         set_hook(Box::new(move |panic| {
             usual(panic);
             last_words(panic);
         }));
-        let stop = Arc::new(AtomicBool::new(false));
+        let orders = Arc::<Orders>::default();
         if args.watch_stdin {
-            let (run, stop, log) = (plan.life.run, stop.clone(), OwnLog::at(dir.log(role)));
+            let (log, theirs) = (OwnLog::at(RunDir::new(&args.run).log(role)), orders.clone());
             // A signal that asks this process to leave asks the run: the supervisor decides what becomes of it.
             let asked = Arc::new(AtomicBool::new(false));
             for signal in asking() {
                 signal_hook::flag::register(signal, asked.clone()).context("cannot handle signals")?;
             }
             let line = take_stdin().context("cannot take standard input")?;
-            let watch = move || leave_with_supervisor(line, run, &asked, &stop, log.as_ref());
+            let watch = move || leave_with_supervisor(line, run, &asked, &theirs, log.as_ref());
             thread::Builder::new().name("watch".into()).spawn(watch)?;
         } else {
             for signal in [SIGTERM, SIGINT] {
                 // The second signal ends the process at once.
-                signal_hook::flag::register_conditional_default(signal, stop.clone())
-                    .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+                signal_hook::flag::register_conditional_default(signal, orders.stop.clone())
+                    .and_then(|_| signal_hook::flag::register(signal, orders.stop.clone()))
                     .context("cannot handle signals")?;
             }
         }
-        Ok(Self { dir, plan, stop })
+        Ok(Self(orders))
     }
 
-    fn stop(&self) -> impl Fn() -> bool + use<> {
-        let stop = self.stop.clone();
-        move || stop.load(Ordering::Relaxed)
+    /// Whether it is to leave.
+    pub(super) fn stop(&self) -> impl Fn() -> bool + use<> {
+        let orders = self.0.clone();
+        move || orders.stop.load(Ordering::Relaxed)
+    }
+
+    /// Whether the run's services are there, for a process that was started before.
+    pub(super) fn go(&self) -> impl Fn() -> bool + use<> {
+        let orders = self.0.clone();
+        move || orders.go.load(Ordering::Relaxed)
+    }
+}
+
+impl Start {
+    pub(super) fn new(args: &Role, role: &str) -> Result<Self> {
+        let dir = RunDir::new(&args.run);
+        let plan = dir.read_plan()?;
+        let Ordered(orders) = Ordered::new(args, role, plan.life.run)?;
+        Ok(Self { dir, plan, orders })
+    }
+
+    pub(super) fn stop(&self) -> impl Fn() -> bool + use<> {
+        Ordered(self.orders.clone()).stop()
     }
 }
 
@@ -98,14 +128,8 @@ fn last_words(panic: &PanicHookInfo<'_>) {
 /// could otherwise go on making files. So whichever of the run's processes comes last removes everything.
 ///
 /// It also sees to it that this process's log stays within its limit.
-fn leave_with_supervisor(
-    line: OwnedFd,
-    run: u64,
-    asked: &AtomicBool,
-    stop: &AtomicBool,
-    log: Option<&OwnLog>,
-) {
-    if let Err(error) = beat_until_closed(line, asked, stop, log) {
+fn leave_with_supervisor(line: OwnedFd, run: u64, asked: &AtomicBool, orders: &Orders, log: Option<&OwnLog>) {
+    if let Err(error) = beat_until_closed(line, asked, orders, log) {
         tracing::error!("standard input: {error}");
     }
     tracing::error!("the supervisor is gone: leaving");
@@ -124,9 +148,10 @@ fn take_stdin() -> io::Result<OwnedFd> {
 fn beat_until_closed(
     line: OwnedFd,
     asked: &AtomicBool,
-    stop: &AtomicBool,
+    orders: &Orders,
     log: Option<&OwnLog>,
 ) -> io::Result<()> {
+    let stop = &orders.stop;
     let mut line = UnixStream::from(line);
     // A pipe has no timeouts: then nobody wants signs of life.
     if line.set_read_timeout(Some(BEAT)).and_then(|()| line.set_write_timeout(Some(BEAT))).is_err() {
@@ -144,6 +169,7 @@ fn beat_until_closed(
                 // A process that waits for a message looks up.
                 kill(Pid::this(), Signal::SIGTERM)?;
             }
+            Ok(_) if byte == [pulse::GO] => orders.go.store(true, Ordering::Relaxed),
             Ok(_) => {}
             // Interrupted: it was stopped and goes on. If that happens again and again, no read ever comes to its end.
             Err(error)

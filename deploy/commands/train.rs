@@ -1,6 +1,7 @@
 //! `trestle train`
 
 use super::watch;
+use crate::carrier::{Listening, Remote};
 use crate::cli::{Beside, Train};
 use crate::itself;
 use crate::prepare::{self, Existing};
@@ -36,7 +37,7 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
     };
     show(args.beside, &root)?;
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
-    go(config, &root, existing, args.quiet)
+    go(config, &root, existing, &args.remote, args.quiet)
 }
 
 /// Serves the page of the run in `root` beside it, if that is asked for: one of those in `runs` together with them.
@@ -75,7 +76,14 @@ fn named(typed: &str, existing: Existing) -> Result<(String, Option<PathBuf>)> {
 
 /// Trains with `config` in the directory `root`, and says what came of it. What a killed start has left beside the directory has
 /// been put right.
-pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -> Result<ExitCode> {
+pub(super) fn go(
+    config: Config,
+    root: &Path,
+    existing: Existing,
+    remote: &Remote,
+    quiet: bool,
+) -> Result<ExitCode> {
+    let listening = Listening::of(remote, &config.run)?;
     let existing = match existing {
         Existing::Resume if prepare::nothing_saved(root) => {
             crate::output::say(&format!("{}: nothing had been saved: beginning anew", root.display()));
@@ -104,7 +112,10 @@ pub(super) fn go(config: Config, root: &Path, existing: Existing, quiet: bool) -
     }
     // From here on there is something that an early Ctrl-C must not leave behind.
     let held = HeldSignals::new()?;
-    let prepared = resolved.prepare(root, existing)?;
+    let mut prepared = resolved.prepare(root, existing)?;
+    if let Some(listening) = listening {
+        prepared.listen(listening);
+    }
     if let Some(from) = prepared.from().filter(|_| !quiet) {
         crate::output::say(from);
     }

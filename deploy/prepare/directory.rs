@@ -11,6 +11,7 @@ use super::states::{
     clear_away, clear_unborn, discard, empty, is_unborn, move_aside, nothing_saved, remove_temporaries,
 };
 use crate::build_info::BuildInfo;
+use crate::carrier::Listening;
 use crate::itself;
 use anyhow::{Context, Result, bail, ensure};
 use rustix::rand::{GetRandomFlags, getrandom};
@@ -69,6 +70,8 @@ pub(crate) struct Prepared {
     from: Option<String>,
     /// Keeps other runs away.
     fence: Fence,
+    /// How other hosts join, if they do.
+    listening: Option<Listening>,
 }
 
 impl Resolved {
@@ -146,7 +149,8 @@ impl Resolved {
             })?,
         };
         drop(former);
-        let prepared = Prepared { dir, plan, fresh, made, replaced, began: Cell::new(false), from, fence };
+        let began = Cell::new(false);
+        let prepared = Prepared { dir, plan, fresh, made, replaced, began, from, fence, listening: None };
         prepared.write(&self)?;
         prepared.from.iter().for_each(|from| prepared.note(from));
         Ok(prepared)
@@ -239,6 +243,16 @@ impl Prepared {
     /// The lock of the run's directory.
     pub(crate) fn fence(&self) -> &Fence {
         &self.fence
+    }
+
+    /// Some of the run's actors are on other hosts.
+    pub(crate) fn listen(&mut self, listening: Listening) {
+        self.listening = Some(listening);
+    }
+
+    /// How other hosts join, if they do.
+    pub(crate) fn listening(&self) -> Option<&Listening> {
+        self.listening.as_ref()
     }
 
     /// The run has begun to train: what it replaces is of no use any more.
@@ -422,7 +436,7 @@ fn next_generation(generation: u16) -> Result<u16> {
 
 /// 64 bits that nobody can guess. A run's identity begins the names of its files in a directory where everybody may create
 /// some; that it is no other run's is found out when the run gets its place there.
-fn draw() -> Result<u64> {
+pub(crate) fn draw() -> Result<u64> {
     let mut word = [0; 8];
     getrandom(&mut word, GetRandomFlags::empty()).context("the system gives no random numbers")?;
     Ok(u64::from_ne_bytes(word))

@@ -18,7 +18,7 @@ mod probes;
 mod resolve;
 mod states;
 
-pub(crate) use directory::{Existing, Prepared, quoted};
+pub(crate) use directory::{Existing, Prepared, draw, quoted};
 pub(crate) use fence::try_lock;
 pub(crate) use probes::{Needs, check, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};

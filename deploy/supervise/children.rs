@@ -7,9 +7,10 @@
 
 use super::Report;
 use super::line::{Fault, Line};
+use crate::carrier::{self, Listening, Network};
 use crate::itself;
 use crate::prepare::Prepared;
-use crate::status::LOST_PEER;
+use crate::status::{LOST_HOST, LOST_PEER};
 use anyhow::{Context, Result};
 use nix::errno::Errno;
 use nix::sys::signal::{Signal, killpg};
@@ -26,7 +27,7 @@ use tokio::sync::{mpsc, oneshot};
 use trestle_actor::env::registry;
 use trestle_learner::record::Progress;
 use trestle_link::log_file;
-use trestle_proto::config::Mode;
+use trestle_proto::config::{self, Mode};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
@@ -41,6 +42,8 @@ const MAX_TAIL_BYTES: u64 = 1 << 16;
 pub(super) enum Role {
     Learner,
     MentorServer,
+    /// What speaks to other hosts.
+    Relay,
     Actor(u32),
 }
 
@@ -49,6 +52,7 @@ impl fmt::Display for Role {
         match self {
             Self::Learner => write!(f, "learner"),
             Self::MentorServer => write!(f, "mentor-server"),
+            Self::Relay => write!(f, "relay"),
             Self::Actor(index) => write!(f, "actor-{index}"),
         }
     }
@@ -83,16 +87,30 @@ impl Death {
         matches!(self.how, How::Exited(status) if status.code() == Some(i32::from(LOST_PEER)))
     }
 
-    /// What the process itself reported as the reason, if it did.
+    /// What the relay says of another host that it has lost, if it has.
+    fn lost_host(&self) -> Option<&str> {
+        let lost = matches!(self.how, How::Exited(status) if status.code() == Some(i32::from(LOST_HOST)));
+        (lost && self.role == Role::Relay).then(|| self.words())
+    }
+
+    /// The last line of its log, without what every error begins with.
+    pub(super) fn words(&self) -> &str {
+        self.last_words.strip_prefix("error: ").unwrap_or(&self.last_words)
+    }
+
+    /// What the process itself reported as the reason, if it did. Another host may be lost again and again, and come back.
     pub(super) fn reported(&self) -> Option<String> {
         let How::Exited(status) = self.how else { return None };
-        let code = status.code().filter(|_| !self.is_consequence())?;
+        let code = status.code().filter(|_| !self.is_consequence() && self.lost_host().is_none())?;
         Some(format!("{} {code} {}", self.role, self.last_words))
     }
 }
 
 impl fmt::Display for Death {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(lost) = self.lost_host() {
+            return f.write_str(lost);
+        }
         match &self.how {
             How::Exited(status) => write!(f, "{} ended with {status}", self.role),
             How::Lingering(Fault::Silent(s)) => {
@@ -136,7 +154,14 @@ pub(super) fn start_all(prepared: &Prepared, events: &mpsc::Sender<Report>) -> R
     if run.algo.has_mentor() {
         roles.push(Role::MentorServer);
     }
-    roles.extend((0..run.actors).map(Role::Actor));
+    let here = match prepared.listening() {
+        Some(listening) => {
+            roles.push(Role::Relay);
+            listening.first
+        }
+        None => run.actors,
+    };
+    roles.extend((0..here).map(Role::Actor));
     let mut children = Vec::new();
     for role in roles {
         match start(prepared, role, 0, events) {
@@ -157,50 +182,90 @@ pub(super) fn start(
     replacements: u16,
     events: &mpsc::Sender<Report>,
 ) -> Result<Child> {
-    let dir = prepared.dir();
+    let words = match role {
+        Role::Learner => vec!["learner".into()],
+        Role::MentorServer => vec!["mentor-server".into()],
+        Role::Relay => {
+            prepared.listening().map(|listening| head(listening, replacements)).unwrap_or_default()
+        }
+        Role::Actor(index) => {
+            let free = prepared.experiment().config.run.mode == Mode::Free;
+            let incarnation = Incarnation::new(prepared.plan().life.generation, replacements);
+            actor(index, free.then_some(incarnation))
+        }
+    };
+    // Only the learner writes into the run's directory beside the supervisor.
+    let fence = if role == Role::Learner { prepared.fence().inheritable()? } else { None };
+    launch(prepared.dir(), Some(&prepared.experiment().config.env), role, &words, fence, events)
+}
+
+/// The arguments of the relay on the learner's host.
+fn head(listening: &Listening, replacements: u16) -> Vec<String> {
+    let Listening { url, first, network } = listening;
+    let mut words: Vec<String> = ["relay", "head", "--first"].map(String::from).to_vec();
+    words.extend([first.to_string(), "--listen".into(), url.clone()]);
+    words.extend(["--replacements".into(), replacements.to_string()]);
+    words.extend(spoken(network));
+    words
+}
+
+/// What a relay is told of how hosts speak to each other.
+pub(super) fn spoken(network: &Network) -> Vec<String> {
+    let silence = ["--host-silence".into(), network.host_silence.to_string()];
+    carrier::options(network).into_iter().chain(silence).collect()
+}
+
+/// The arguments of actor `index`.
+pub(super) fn actor(index: u32, incarnation: Option<Incarnation>) -> Vec<String> {
+    let mut words = vec!["actor".into(), "--index".into(), index.to_string()];
+    if let Some(incarnation) = incarnation {
+        words.extend(["--incarnation".into(), incarnation.to_string()]);
+    }
+    words
+}
+
+/// Starts this program again as process `role` of the run in `dir`, with `words` as its first arguments. `env` is the environment of
+/// an actor. `fence` is the lock of the directory, which the process keeps as long as it lives.
+pub(super) fn launch(
+    dir: &RunDir,
+    env: Option<&config::Env>,
+    role: Role,
+    words: &[String],
+    fence: Option<OwnedFd>,
+    events: &mpsc::Sender<Report>,
+) -> Result<Child> {
     let path = dir.log(&role.to_string());
     let log = log_file::open(&path).with_context(|| format!("cannot open {}", path.display()))?;
     let foreign = match role {
-        Role::Actor(_) => registry().foreign(&prepared.experiment().config.env),
-        Role::Learner | Role::MentorServer => None,
+        Role::Actor(_) => env.and_then(|env| registry().foreign(env)),
+        Role::Learner | Role::MentorServer | Role::Relay => None,
     };
     let elsewhere = foreign.as_ref().and_then(|foreign| foreign.program.as_deref());
     let mut command = Command::from(elsewhere.map_or_else(itself::again, itself::command));
     if let Some(foreign) = &foreign {
         command.envs(foreign.variables.iter().copied());
     }
-    match role {
-        Role::Learner => command.arg("learner"),
-        Role::MentorServer => command.arg("mentor-server"),
-        Role::Actor(index) => command.arg("actor").arg("--index").arg(index.to_string()),
-    };
-    if let (Role::Actor(_), Mode::Free) = (role, prepared.experiment().config.run.mode) {
-        let incarnation = Incarnation::new(prepared.plan().life.generation, replacements);
-        command.arg("--incarnation").arg(incarnation.to_string());
-    }
-    command.arg("--run").arg(dir.root()).arg("--watch-stdin");
+    command.args(words).arg("--run").arg(dir.root()).arg("--watch-stdin");
     // candle asks for the number of threads at every product, and takes all cores if it is not told; a run's
     // processes have one working thread each.
     command.env("RAYON_NUM_THREADS", "1");
     let (line, theirs) = Line::new().context("cannot make a socket")?;
     command.stdin(Stdio::from(OwnedFd::from(theirs)));
-    let learner = role == Role::Learner;
-    command.stdout(match (learner, &foreign) {
+    let speaks = matches!(role, Role::Learner | Role::Relay);
+    command.stdout(match (speaks, &foreign) {
         (true, _) => Stdio::piped(),
         // What an environment prints is for its author to read.
         (false, Some(_)) => Stdio::from(log.try_clone().context("cannot open a log twice")?),
         (false, None) => Stdio::null(),
     });
     command.stderr(Stdio::from(log)).process_group(0).kill_on_drop(true);
-    // Only the learner writes into the run's directory beside the supervisor.
-    let fence = if learner { prepared.fence().inheritable()? } else { None };
     let mut process = command.spawn().with_context(|| format!("cannot start {role}"))?;
     drop(fence);
     // So that the child alone holds its end.
     drop(command);
     let stdout = process.stdout.take();
     let (end, received) = mpsc::unbounded_channel();
-    let forwarding = stdout.map(|stdout| tokio::spawn(forward(stdout, events.clone())));
+    let forwarding = stdout.map(|stdout| tokio::spawn(forward(role, stdout, events.clone())));
     let events = events.clone();
     tokio::spawn(async move {
         let group = foreign.and_then(|_| process.id()).map(end_of_group);
@@ -249,10 +314,14 @@ fn end_of_group(id: u32) -> oneshot::Receiver<()> {
     receiver
 }
 
-/// Passes the learner's progress on until it closes its standard output.
-async fn forward(stdout: ChildStdout, events: mpsc::Sender<Report>) {
+/// Passes on the learner's progress, or what a relay says, until it closes its standard output.
+async fn forward(role: Role, stdout: ChildStdout, events: mpsc::Sender<Report>) {
     let mut lines = BufReader::new(stdout).lines();
     while let Ok(Some(line)) = lines.next_line().await {
+        if role == Role::Relay {
+            let _ = events.send(Report::Said(line)).await;
+            continue;
+        }
         match serde_json::from_str::<Progress>(&line) {
             Ok(progress) => _ = events.send(Report::Progress(progress)).await,
             Err(error) => tracing::warn!("the learner printed a line that is no progress ({error}): {line}"),

@@ -104,6 +104,11 @@ impl Watch<'_, '_> {
                     Some(Report::Progress(progress)) => {
                         return Ok((Event::Progress, Matter::Progress(progress)));
                     }
+                    Some(Report::Said(line)) => {
+                        self.display.remark(&line);
+                        self.replacing.note(&line);
+                        None
+                    }
                     Some(Report::Exited(role, status)) => {
                         let status = status.with_context(|| format!("cannot wait for {role}"))?;
                         if let Some(event) = self.exited(role, How::Exited(status)) {

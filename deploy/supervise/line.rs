@@ -47,6 +47,11 @@ impl Line {
         let _ = self.socket.write(&[pulse::LEAVE]);
     }
 
+    /// Tells the child that the run's services are there.
+    pub(super) fn go(&mut self) {
+        let _ = self.socket.write(&[pulse::GO]);
+    }
+
     /// Takes in what has come since the last call, and says whether the process counts as dead by now. To be called once
     /// a [`BEAT`](trestle_proto::limits::BEAT), which is a second.
     ///

@@ -9,11 +9,13 @@
 //! - `restarts`: whether there is another attempt;
 //! - `children`: the processes; `line`: the line to each;
 //! - `signals`: what asks the run to end;
-//! - `display`: what the user sees meanwhile.
+//! - `display`: what the user sees meanwhile;
+//! - `joined`: a host that lends its actors to a run of another one.
 
 mod children;
 pub(crate) mod display;
 mod drive;
+mod joined;
 mod line;
 mod replacing;
 mod restarts;
@@ -28,6 +30,7 @@ use crate::prepare::Prepared;
 use anyhow::{Context, Error, Result, anyhow};
 use children::{Child, Death, Role, log_tail};
 use display::Display;
+pub(crate) use joined::{FAREWELL, GRANTED, Parted, join};
 use replacing::Replacing;
 use restarts::{Restarts, Verdict};
 pub(crate) use signals::{HeldSignals, Signals, asking};
@@ -125,6 +128,8 @@ async fn attempt(
 /// What reaches the supervisor from its children.
 enum Report {
     Progress(Progress),
+    /// A relay says something.
+    Said(String),
     Exited(Role, std::io::Result<ExitStatus>),
 }
 
@@ -151,7 +156,7 @@ async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, hos
                         child.running = false;
                     }
                 }
-                Some(Report::Progress(_)) => {}
+                Some(Report::Progress(_) | Report::Said(_)) => {}
                 None => return,
             }
         }

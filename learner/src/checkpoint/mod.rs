@@ -79,6 +79,8 @@ const ACTORS: &str = "actors.bin";
 const RUN: &str = "run.bin";
 const PENDING: &str = "pending.bin";
 const SELECTION: &str = "selection.bin";
+/// The files of a checkpoint that [`load_actors`] reads.
+pub const FOR_ACTORS: [&str; 3] = [MANIFEST, ACTORS, COMPLETE];
 /// The files of every checkpoint beside MANIFEST and COMPLETE; SELECTION, PENDING and the replay's segments come on top.
 const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, ACTORS, RUN];
 /// Beginning of the name of a directory that is being written or removed.

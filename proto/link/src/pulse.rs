@@ -16,6 +16,8 @@ pub const IDLE: u8 = b'.';
 pub const ASKED: u8 = b'!';
 /// In the other direction: the supervisor's order to finish the work at hand and leave.
 pub const LEAVE: u8 = b'x';
+/// The supervisor's news for a process that it has started first: the run's services are there.
+pub const GO: u8 = b'g';
 
 /// A piece of work is finished.
 #[inline]

@@ -1,6 +1,6 @@
 //! An actor's end of the transport.
 
-use super::bell::{Consumer, Ear, READY, WELCOME};
+use super::bell::{Consumer, Ear, READY, WELCOME, bit};
 use super::services::Services;
 use super::{Ipc, Wire, announce, failed, give_up_in_time};
 use crate::{ActorLink, LinkError, Stop};
@@ -9,6 +9,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::AllocationStrategy;
+use std::rc::Rc;
 use std::time::Duration;
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::{Batch, BatchHeader};
@@ -31,12 +32,17 @@ pub struct IceoryxActor {
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
     replies: Publisher<Ipc, [u8], Wire<ReplyHeader>>,
     ear: Ear,
-    services: Services,
+    services: Rc<Services>,
 }
 
 impl IceoryxActor {
     /// Creates the ports of actor `index`.
     pub(super) fn new(services: Services, index: u32) -> Result<Self, LinkError> {
+        Self::within(Rc::new(services), index, bit(index as usize))
+    }
+
+    /// Creates the ports of actor `index` within `services`. Rings for any actor of `whom` ([`bit`]) wake it.
+    pub(super) fn within(services: Rc<Services>, index: u32, whom: u32) -> Result<Self, LinkError> {
         let transitions = services
             .transitions
             .publisher_builder()
@@ -72,9 +78,15 @@ impl IceoryxActor {
                 .map_err(failed("creating the subscriber of orders"))?,
             transitions,
             replies,
-            ear: services.bells.ear_of_actor(index as usize),
+            ear: services.bells.ear_of_actors(whom),
             services,
         })
+    }
+
+    /// Sleeps until something has come since this end looked for orders last, or it is woken, or `timeout` is over; or for no reason
+    /// at all.
+    pub fn sleep(&self, timeout: Duration) -> Result<(), LinkError> {
+        self.ear.sleep(1, timeout)
     }
 
     fn try_orders(&self) -> Result<Option<Orders>, LinkError> {
@@ -105,7 +117,7 @@ impl IceoryxActor {
 impl ActorLink for IceoryxActor {
     fn hello(&mut self, stop: Stop<'_>) -> Result<(), LinkError> {
         let (ear, welcome) = (&self.ear, WELCOME + self.index);
-        let Services { bells, sizes, .. } = &self.services;
+        let Services { bells, sizes, .. } = &*self.services;
         // One from before does not count.
         ear.take_one(welcome);
         announce(bells, sizes.replaces, self.index, stop, |interval| {

@@ -192,9 +192,9 @@ impl Bells {
         Ear { bells: self.clone(), consumer, whom: ALL, heard: Cell::new(0) }
     }
 
-    /// The ear of actor `index`.
-    pub(super) fn ear_of_actor(&self, index: usize) -> Ear {
-        Ear { whom: NonZeroU32::new(bit(index)).unwrap_or(ALL), ..self.ear(Consumer::Actors) }
+    /// The ear of the actors in `whom` ([`bit`]).
+    pub(super) fn ear_of_actors(&self, whom: u32) -> Ear {
+        Ear { whom: NonZeroU32::new(whom).unwrap_or(ALL), ..self.ear(Consumer::Actors) }
     }
 }
 

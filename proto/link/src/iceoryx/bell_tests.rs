@@ -165,7 +165,7 @@ fn bells_are_heard_through_shared_memory_and_calls_are_taken_once() {
     let start = Instant::now();
     thread::scope(|scope| {
         scope.spawn(move || {
-            let ear = opened.ear_of_actor(3);
+            let ear = opened.ear_of_actors(bit(3));
             let welcome = ear.wait(LONG, || Ok(ear.take_one(WELCOME + 3).then_some(()))).unwrap();
             assert_eq!(welcome, Some(()));
             assert!(!ear.take_one(WELCOME + 3));

@@ -34,6 +34,8 @@ pub struct IceoryxLearner {
     ear: Ear,
     mentor_waits: bool,
     generation: u16,
+    /// Whether a message to all actors must reach as many as the run has.
+    strict: bool,
     services: Services,
 }
 
@@ -80,8 +82,26 @@ impl IceoryxLearner {
             ear: services.bells.ear(Consumer::Learner),
             mentor_waits: false,
             generation,
+            // Where processes are replaced, some may have just died.
+            strict: !services.sizes.replaces,
             services,
         })
+    }
+
+    /// As [`new`](Self::new), on a host with only some of the run's actors.
+    pub(super) fn of_some(services: Services, generation: u16) -> Result<Self, LinkError> {
+        Ok(Self { strict: false, ..Self::new(services, generation)? })
+    }
+
+    /// From now on what is published is of the learner's start `generation`.
+    pub fn set_generation(&mut self, generation: u16) {
+        self.generation = generation;
+    }
+
+    /// Sleeps until something has come since this end looked for messages last, or it is woken, or `timeout` is over; or for no reason
+    /// at all.
+    pub fn sleep(&self, timeout: Duration) -> Result<(), LinkError> {
+        self.ear.sleep(1, timeout)
     }
 
     /// Maps the processes that have come and unmaps those that have gone: mapped memory of a dead process stays in use.
@@ -143,8 +163,7 @@ impl IceoryxLearner {
     /// Whether `found` receivers are enough for a message to all actors. In lockstep, where no process is replaced, all of
     /// them must have it.
     fn reached(&self, what: &'static str, found: usize) -> Result<(), LinkError> {
-        let sizes = &self.services.sizes;
-        if sizes.replaces { Ok(()) } else { delivered(what, found, sizes.actors) }
+        if self.strict { delivered(what, found, self.services.sizes.actors) } else { Ok(()) }
     }
 
     fn answer_hello(&mut self, peer: usize) -> Result<(), LinkError> {

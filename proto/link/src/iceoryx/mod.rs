@@ -6,7 +6,8 @@
 //! - `services`: every service with its limits; the supervisor creates and holds them, the others open them;
 //! - `bell`: sleeping until something has come;
 //! - `wire`: messages in the form that iceoryx2 accepts;
-//! - `actor`, `learner`, `mentor`, `client`: the roles' ends.
+//! - `actor`, `learner`, `mentor`, `client`: the roles' ends;
+//! - [`relay`]: the ends of a process that stands for those on other hosts.
 
 mod actor;
 mod bell;
@@ -14,6 +15,7 @@ mod client;
 mod domain;
 mod learner;
 mod mentor;
+pub mod relay;
 mod services;
 mod shared_memory;
 mod sizes;

@@ -1,0 +1,47 @@
+//! `trestle join`
+
+use crate::carrier::{self, Joining};
+use crate::cli::Join;
+use crate::status::{ExitCode, INTERRUPTED};
+use crate::supervise::{self, HeldSignals, Parted};
+use anyhow::{Result, ensure};
+use std::fs;
+use trestle_hosts::limits::MAX_NAME;
+use trestle_link::logging;
+
+pub(super) fn run(args: &Join) -> Result<ExitCode> {
+    logging::init(0, "join", "warn");
+    carrier::check(&args.url, &args.network)?;
+    let name = match &args.name {
+        Some(name) => name.clone(),
+        None => own_name(),
+    };
+    ensure!(
+        !name.is_empty() && name.len() <= MAX_NAME && name.chars().all(is_plain),
+        "--name {name}; accepted: 1 to {MAX_NAME} letters, digits, `-`, `_` and `.`"
+    );
+    let held = HeldSignals::new()?;
+    let joining = Joining {
+        url: args.url.clone(),
+        name,
+        actors: args.actors,
+        network: args.network.clone(),
+        wait_s: args.wait,
+        quiet: args.quiet,
+    };
+    match supervise::join(&joining, held)? {
+        Parted::Over => Ok(ExitCode::SUCCESS),
+        Parted::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
+    }
+}
+
+fn is_plain(c: char) -> bool {
+    c.is_ascii_alphanumeric() || "-_.".contains(c)
+}
+
+/// This machine's name, as far as it is plain.
+fn own_name() -> String {
+    let name = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let name: String = name.chars().filter(|&c| is_plain(c)).take(MAX_NAME).collect();
+    if name.is_empty() { "host".into() } else { name }
+}

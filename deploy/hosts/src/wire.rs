@@ -1,0 +1,252 @@
+//! What carries frames: never more than that. A frame may be lost, come twice or out of order.
+
+use crate::frame::MAX_FRAME;
+use crate::limits::QUEUE;
+use std::collections::VecDeque;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// What the program says first.
+const GREETING: &str = "trestle-relay 1";
+/// Bytes of one of its lines that are kept.
+const MAX_LINE: usize = 1000;
+/// The peer of records that are the program's own news.
+const NEWS: u64 = u64::MAX;
+
+/// A wire that carries nothing any more.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum WireError {
+    /// The program cannot be started.
+    #[error("cannot start {program}: {reason}")]
+    Start {
+        /// The program.
+        program: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// It has ended.
+    #[error("{0}")]
+    Ended(String),
+}
+
+/// Called whenever a frame has come, by the thread that has received it.
+pub type Waker = Box<dyn Fn() + Send>;
+
+/// Carries frames to peers and from them. A joined host has one peer, the head, which is 0.
+pub trait Wire {
+    /// Sends a frame, or loses it. Never waits.
+    fn send(&mut self, peer: u64, frame: Vec<u8>);
+    /// The next frame that has come, and whence.
+    fn recv(&mut self) -> Result<Option<(u64, Vec<u8>)>, WireError>;
+    /// Waits until a frame has come, `timeout` at the most.
+    fn wait(&mut self, timeout: Duration);
+    /// From now on `waker` is called whenever a frame has come.
+    fn wake_by(&mut self, waker: Waker);
+    /// What it has said last of something that went wrong.
+    fn trouble(&self) -> Option<String> {
+        None
+    }
+}
+
+#[derive(Default)]
+struct Arrived {
+    frames: VecDeque<(u64, Vec<u8>)>,
+    waker: Option<Waker>,
+    failed: Option<WireError>,
+    trouble: Option<String>,
+}
+
+/// Frames that have come, up to [`QUEUE`], for one thread that takes them and others that bring them.
+#[derive(Clone, Default)]
+pub struct Inbox(Arc<(Mutex<Arrived>, Condvar)>);
+
+impl Inbox {
+    fn lock(&self) -> MutexGuard<'_, Arrived> {
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Brings a frame. Where there is no room for it, it is lost.
+    pub fn bring(&self, peer: u64, frame: Vec<u8>) {
+        let mut arrived = self.lock();
+        if arrived.frames.len() < QUEUE {
+            arrived.frames.push_back((peer, frame));
+        }
+        self.ring(&arrived);
+    }
+
+    /// Nothing will come any more.
+    fn fail(&self, error: WireError) {
+        let mut arrived = self.lock();
+        arrived.failed.get_or_insert(error);
+        self.ring(&arrived);
+    }
+
+    fn ring(&self, arrived: &Arrived) {
+        self.0.1.notify_all();
+        if let Some(waker) = &arrived.waker {
+            waker();
+        }
+    }
+
+    /// See [`Wire::recv`].
+    pub fn take(&self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
+        let mut arrived = self.lock();
+        match (arrived.frames.pop_front(), &arrived.failed) {
+            (None, Some(error)) => Err(error.clone()),
+            (frame, _) => Ok(frame),
+        }
+    }
+
+    /// See [`Wire::wait`].
+    pub fn wait(&self, timeout: Duration) {
+        let nothing = |arrived: &mut Arrived| arrived.frames.is_empty() && arrived.failed.is_none();
+        let waited = self.0.1.wait_timeout_while(self.lock(), timeout, nothing);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// See [`Wire::wake_by`].
+    pub fn wake_by(&self, waker: Waker) {
+        // Whatever has come before was not called out.
+        waker();
+        self.lock().waker = Some(waker);
+    }
+}
+
+/// The program that carries frames between hosts, `trestle-relay`, behind pipes. It ends with this.
+pub struct Program {
+    inbox: Inbox,
+    outbox: Option<SyncSender<(u64, Vec<u8>)>>,
+    child: Child,
+}
+
+impl Program {
+    /// Starts `command`.
+    pub fn start(mut command: Command) -> Result<Self, WireError> {
+        let failed = |command: &Command, reason: String| {
+            let program = command.get_program().to_string_lossy().into_owned();
+            WireError::Start { program, reason }
+        };
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(|error| failed(&command, error.to_string()))?;
+        let (Some(mut stdin), Some(stdout), Some(stderr)) =
+            (child.stdin.take(), child.stdout.take(), child.stderr.take())
+        else {
+            return Err(failed(&command, "it has no pipes".into()));
+        };
+        let (inbox, (outbox, frames)) = (Inbox::default(), sync_channel::<(u64, Vec<u8>)>(QUEUE));
+        // What it says last is why it ended.
+        let troubles = inbox.clone();
+        let words = thread::spawn(move || {
+            let mut last = String::new();
+            for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
+                let line = String::from_utf8_lossy(&line[..line.len().min(MAX_LINE)]);
+                tracing::warn!("{}", line.escape_debug());
+                troubles.lock().trouble = Some(line.escape_debug().to_string());
+                if let Some(error) = line.strip_prefix("error: ") {
+                    last = error.into();
+                }
+            }
+            last
+        });
+        let brings = inbox.clone();
+        thread::spawn(move || {
+            if let Err(error) = bring_all(stdout, &brings) {
+                return brings.fail(WireError::Ended(format!("trestle-relay: {error}")));
+            }
+            let last = words.join().unwrap_or_default();
+            let said = if last.is_empty() { "trestle-relay has ended".into() } else { last };
+            brings.fail(WireError::Ended(said));
+        });
+        thread::spawn(move || {
+            for (peer, frame) in frames {
+                if write(&mut stdin, peer, &frame).is_err() {
+                    return;
+                }
+            }
+        });
+        Ok(Self { inbox, outbox: Some(outbox), child })
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // Its standard input ends when all that waits has been written, and so does it.
+        self.outbox = None;
+        for _ in 0..50 {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return;
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Wire for Program {
+    fn send(&mut self, peer: u64, frame: Vec<u8>) {
+        if let Some(outbox) = &self.outbox {
+            let _ = outbox.try_send((peer, frame));
+        }
+    }
+
+    fn recv(&mut self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
+        self.inbox.take()
+    }
+
+    fn wait(&mut self, timeout: Duration) {
+        self.inbox.wait(timeout);
+    }
+
+    fn wake_by(&mut self, waker: Waker) {
+        self.inbox.wake_by(waker);
+    }
+
+    fn trouble(&self) -> Option<String> {
+        self.inbox.lock().trouble.clone()
+    }
+}
+
+/// Brings all records of the program until its end.
+fn bring_all(mut pipe: impl Read, inbox: &Inbox) -> io::Result<()> {
+    match read(&mut pipe)? {
+        Some((NEWS, text)) if text == GREETING.as_bytes() => {}
+        Some((_, text)) => {
+            let found = String::from_utf8_lossy(&text[..text.len().min(40)]).into_owned();
+            let text = format!("it says `{found}`; accepted: `{GREETING}`; build it anew");
+            return Err(io::Error::new(ErrorKind::InvalidData, text));
+        }
+        None => return Ok(()),
+    }
+    while let Some((peer, frame)) = read(&mut pipe)? {
+        inbox.bring(peer, frame);
+    }
+    Ok(())
+}
+
+/// The next record: `u32` length of what follows, `u64` peer, bytes.
+fn read(pipe: &mut impl Read) -> io::Result<Option<(u64, Vec<u8>)>> {
+    let mut head = [0; 12];
+    match pipe.read_exact(&mut head) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+        read => read?,
+    }
+    let [a, b, c, d, peer @ ..] = head;
+    let length = u32::from_le_bytes([a, b, c, d]) as usize;
+    let bytes = length.checked_sub(8).filter(|&bytes| bytes <= MAX_FRAME);
+    let bytes =
+        bytes.ok_or_else(|| io::Error::new(ErrorKind::InvalidData, format!("a record of {length} bytes")))?;
+    let mut frame = vec![0; bytes];
+    pipe.read_exact(&mut frame)?;
+    Ok(Some((u64::from_le_bytes(peer), frame)))
+}
+
+fn write(pipe: &mut impl Write, peer: u64, frame: &[u8]) -> io::Result<()> {
+    let head = [&(frame.len() as u32 + 8).to_le_bytes()[..], &peer.to_le_bytes()].concat();
+    pipe.write_all(&[&head, frame].concat())?;
+    pipe.flush()
+}
