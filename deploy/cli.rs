@@ -401,7 +401,8 @@ pub(crate) struct Eval {
     /// Seed of the episodes' random streams; the run's own if not given
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"))]
     pub(crate) seed: Option<u64>,
-    /// Draw the first episode into a file: .gif in motion, .png or .svg still; on its map, or as the environment renders itself
+    /// Draw the first episode into a file: .gif in motion, .png, .svg or .pdf still; on its map, or as the environment renders
+    /// itself (no .pdf)
     #[arg(long, value_name = "FILE", value_parser = Target)]
     pub(crate) picture: Option<PathBuf>,
     /// Replace the picture if it exists
@@ -514,10 +515,10 @@ pub(crate) struct Inspect {
     /// The two features that are drawn, by their places: `0,1`
     #[arg(long, value_name = "X,Y", value_parser = pair)]
     pub(crate) axes: Option<[usize; 2]>,
-    /// Draw the trajectories into this SVG file as well
-    #[arg(long, value_name = "FILE", value_parser = Target)]
-    pub(crate) svg: Option<PathBuf>,
-    /// Replace the SVG file if it exists
+    /// Draw the trajectories into this file as well: .svg, .png or .pdf
+    #[arg(long, alias = "svg", value_name = "FILE", value_parser = Target)]
+    pub(crate) picture: Option<PathBuf>,
+    /// Replace the picture if it exists
     #[arg(long)]
     pub(crate) overwrite: bool,
 }

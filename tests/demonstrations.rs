@@ -41,7 +41,7 @@ fn a_demonstration_of_any_kind_is_drawn() {
     let args = ["demo", "import", &source, "--key", "observation", "--columns", "0..4", "--out", &out];
     trestle(&args).ok();
     // Four features, of no environment that is at hand.
-    let inspected = trestle(&["demo", "inspect", &out, "--svg", &svg]).ok();
+    let inspected = trestle(&["demo", "inspect", &out, "--picture", &svg]).ok();
     assert!(inspected.stdout.contains("trajectories  2 (1 ended in a terminal state)"), "{inspected:?}");
     assert!(inspected.stdout.contains("right: s0, 0 to 1.1; up: s1, 0 to 1.1"), "{inspected:?}");
     let drawing = fs::read_to_string(&svg).unwrap();
@@ -50,7 +50,14 @@ fn a_demonstration_of_any_kind_is_drawn() {
     assert!(other.stdout.contains("right: s2, 0 to 1; up: s3, -1 to 1"), "{other:?}");
     trestle(&["demo", "inspect", &out, "--axes", "0,4"]).refused(&["no feature 4", "0 to 3"]);
     trestle(&["demo", "inspect", &out, "--axes", "0"]).refused(&["0,1"]);
-    trestle(&["demo", "inspect", &out, "--svg", &svg]).refused(&["point.svg exists"]);
+    trestle(&["demo", "inspect", &out, "--picture", &svg]).refused(&["point.svg exists"]);
+    for (name, begins) in [("point.png", &b"\x89PNG"[..]), ("point.pdf", b"%PDF")] {
+        let file = place.path(name);
+        trestle(&["demo", "inspect", &out, "--picture", &file]).ok();
+        assert!(fs::read(&file).unwrap().starts_with(begins), "{name}");
+    }
+    trestle(&["demo", "inspect", &out, "--picture", &place.path("point.gif")])
+        .refused(&["point.gif", ".svg, .png, .pdf"]);
     trestle(&["demo", "inspect", &out, "--config", "maze-small"]).refused(&["4 features", "accepted: 2"]);
 }
 

@@ -182,3 +182,15 @@ fn a_report_says_what_the_runs_came_to() {
     let nothing = start(&["report".to_string(), place.path("absent")]).finish();
     assert_eq!(nothing.status.code(), Some(1));
 }
+
+/// A run that was not solved has no picture of when it was.
+#[test]
+fn a_report_of_an_unsolved_run_has_no_empty_pictures() {
+    let place = Place::new();
+    place.train("run", &["maze-small", "--env-steps", "600"]);
+    let report = start(&["report".to_string(), place.path("run")]).finish().ok();
+    assert!(report.stdout.contains("1 runs, 0 notes"), "{report:?}");
+    let page = fs::read_to_string(place.run("run").root().join("report/report.html")).unwrap();
+    assert!(page.contains("Trestle: 1 run in") && page.contains("Share of runs solved"), "{page}");
+    assert!(!page.contains("Runs solved so far") && !page.contains("Median episodes"), "{page}");
+}

@@ -85,7 +85,9 @@ fn a_run_shows_itself_and_is_none_the_other() {
 fn a_path_that_is_no_folder_is_refused() {
     let place = Place::new();
     let file = place.write("file", "");
-    trestle(&["watch", &file, "--port", "0"]).refused(&["cannot watch", "accepted: a directory"]);
+    let said = trestle(&["watch", &file, "--port", "0"]);
+    assert_eq!(said.stderr.matches("not a directory").count(), 1, "the reason is said once: {said:?}");
+    said.refused(&["cannot watch", "accepted: a directory"]);
     trestle(&["watch", &place.path("x"), "--bind", "300.1.1.1"]).code(2);
 }
 
@@ -99,7 +101,9 @@ fn an_evaluation_becomes_a_picture_and_the_best_weights_are_kept() {
         serde_json::from_str(&printed.stdout).unwrap()
     };
     assert_eq!(best["mean_return"].as_f64(), result(&place.run("run")).best_return);
-    for (name, begins) in [("a.gif", &b"GIF89a"[..]), ("b.png", b"\x89PNG"), ("c.svg", b"<svg")] {
+    for (name, begins) in
+        [("a.gif", &b"GIF89a"[..]), ("b.png", b"\x89PNG"), ("c.svg", b"<svg"), ("f.pdf", b"%PDF")]
+    {
         let file = place.path(name);
         let printed = trestle(&["eval", &root, "--checkpoint", "best", "--picture", &file]).ok();
         assert!(printed.stdout.contains(&format!("picture: {file}")), "{printed:?}");
@@ -114,7 +118,7 @@ fn an_evaluation_becomes_a_picture_and_the_best_weights_are_kept() {
     trestle(&["eval", &root, "--picture", &again]).refused(&["a.gif exists", "--overwrite"]);
     trestle(&["eval", &root, "--picture", &again, "--overwrite"]).ok();
     let other = place.path("d.jpg");
-    trestle(&["eval", &root, "--picture", &other]).refused(&["d.jpg", ".gif, .png, .svg"]);
+    trestle(&["eval", &root, "--picture", &other]).refused(&["d.jpg", ".gif, .png, .svg, .pdf"]);
     fs::remove_file(place.run("run").best()).unwrap();
     trestle(&["eval", &root, "--checkpoint", "best"]).refused(&["no weights of a best evaluation", "last"]);
 }

@@ -52,7 +52,8 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
             args.run.display()
         ));
     }
-    let kind = args.picture.as_deref().map(|out| picture::kind(out, args.overwrite)).transpose()?;
+    let kind =
+        args.picture.as_deref().map(|out| picture::kind(out, &picture::KINDS, args.overwrite)).transpose()?;
     let experiment = read_experiment(&dir)?;
     itself::hand_over(&experiment.config.env)?;
     let (layout, _) = trestle_qnet::network_of(&experiment)?;

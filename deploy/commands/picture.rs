@@ -16,22 +16,35 @@ use trestle_proto::rundir::RunDir;
 use trestle_report::film::gif;
 use trestle_report::footage::Footage;
 use trestle_report::maze::Maze;
-use trestle_report::plot::{View, png};
+use trestle_report::plot::{View, pdf, png};
 
-/// The kinds of files that can be written.
-const KINDS: [&str; 3] = ["gif", "png", "svg"];
+/// The kinds of files that an evaluation can be written to: on a map, and where the environment draws itself.
+pub(super) const KINDS: [&str; 4] = ["gif", "png", "svg", "pdf"];
+const FILM_KINDS: [&str; 3] = ["gif", "png", "svg"];
 
-/// The kind of file that `path` names by its end.
+/// The kind of file that `path` names by its end, one of `kinds`.
 ///
 /// # Errors
 /// None that can be written, or a file that is there and not to be replaced.
-pub(super) fn kind(path: &Path, overwrite: bool) -> Result<&'static str> {
+pub(super) fn kind<'a>(path: &Path, kinds: &[&'a str], overwrite: bool) -> Result<&'a str> {
     let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let Some(kind) = KINDS.into_iter().find(|kind| *kind == end) else {
-        bail!("--picture {}; accepted: a name that ends in .{}", path.display(), KINDS.join(", ."));
+    let Some(kind) = kinds.iter().copied().find(|kind| *kind == end) else {
+        bail!("--picture {}; accepted: a name that ends in .{}", path.display(), kinds.join(", ."));
     };
     free(path, overwrite)?;
     Ok(kind)
+}
+
+/// `svg` as a file of `kind`: as it is, as PNG or as PDF.
+///
+/// # Errors
+/// Drawing it.
+pub(super) fn as_kind(svg: String, kind: &str) -> Result<Vec<u8>> {
+    Ok(match kind {
+        "png" => png(&svg)?,
+        "pdf" => pdf(&svg)?,
+        _ => svg.into_bytes(),
+    })
 }
 
 /// A greedy episode that is to be drawn.
@@ -81,8 +94,7 @@ pub(super) fn write(
     };
     let bytes = match kind {
         "gif" => gif(&maze)?,
-        "png" => png(&maze.paths_svg(View::Paper)?)?,
-        _ => maze.paths_svg(View::Paper)?.into_bytes(),
+        kind => as_kind(maze.paths_svg(View::Paper)?, kind)?,
     };
     put(out, &bytes)
 }
@@ -99,6 +111,12 @@ fn film(experiment: &Experiment, episode: Episode<'_>, out: &Path, kind: &str) -
             "--picture: {name} has neither a map nor pictures; accepted: environments with a map, or with render_mode rgb_array"
         )
     };
+    ensure!(
+        FILM_KINDS.contains(&kind),
+        "--picture {}: what an environment draws has pixels; accepted: a name that ends in .{}",
+        out.display(),
+        FILM_KINDS.join(", .")
+    );
     let mut filmed = experiment.clone();
     filmed.config.run.seed = episode.seed;
     filmed.config.env = registry().filmed(&experiment.config.env)?.with_context(none)?;

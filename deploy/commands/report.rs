@@ -59,7 +59,8 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     for run in runs.iter().filter(|run| run.complete().is_none()) {
         notes.push(format!("{} has not run its whole length", run.path.display()));
     }
-    let title = format!("Trestle: {} runs in {}", runs.len(), args.runs.display());
+    let count = if runs.len() == 1 { "1 run".into() } else { format!("{} runs", runs.len()) };
+    let title = format!("Trestle: {count} in {}", args.runs.display());
     let count = notes.len();
     notes.iter().for_each(|note| crate::output::say(&format!("note: {note}")));
     for (arm, warning) in arms(&tasks(&runs)).iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {

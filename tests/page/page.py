@@ -5,6 +5,7 @@ leaves screenshots in SHOTS. Exit status 0 if everything is as it should be.
 """
 
 import contextlib
+import json
 import pathlib
 import shutil
 import socket
@@ -117,6 +118,25 @@ def hostile(folder, like):
         metrics.write("x" * 200_000 + f"\n{EVIL}\n")
 
 
+def strange(folder, like):
+    """Copies of the run `like` whose numbers are beyond all measure, or whose name is as long as can be: where each is."""
+    runs = {"numbers": folder / "numbers", "long": folder / ("n" * 250)}
+    for run in runs.values():
+        shutil.copytree(like, run, symlinks=True)
+    run = runs["numbers"]
+    (run / "result.json").unlink()
+    (run / "metrics.jsonl").write_text("".join(json.dumps({"time/episodes": sign * 1e308, "time/total_timesteps": -5, "time/time_elapsed": 1e300,
+        "train/n_updates": 1, "time/fps": -1e308, "train/loss": 1e308}) + "\n" for sign in (-1, 1) * 500))
+    heading = (run / "evals.csv").read_text().splitlines()[0]
+    (run / "evals.csv").write_text(f"{heading}\n" + "".join(f"{at},{10 ** at},1,1,1e308,1,1\n" for at in range(300)))
+    head, *moments = (run / "timeline.jsonl").read_text().splitlines()
+    head = json.loads(head)
+    # A page that believed these would ask for terabytes.
+    head["squares"], head["dims"] = 1_000_000, 1e9
+    (run / "timeline.jsonl").write_text("\n".join([json.dumps(head), *moments, ""]))
+    return runs
+
+
 def crowd(folder, like, runs=100_000):
     """A folder of ever so many copies of the run `like`, most of which have no more than their settings and a torn result."""
     settings, result = folder / "settings", folder / "result"
@@ -147,12 +167,35 @@ def use(page, name):
     check(name, slider.input_value() == before, "the latest moment is not shown again")
     page.get_by_role("button", name="Step after").click()
     expect(page.get_by_label("Mentor step", exact=True).get_by_role("heading")).to_contain_text("1 of")
-    page.get_by_role("radio", name="Values").check(force=True)
-    page.get_by_role("radio", name="Mentor's time line").check(force=True)
+    page.get_by_role("radio", name="Values").check()
+    page.get_by_role("radio", name="Mentor's time line").check()
     expect(page.get_by_role("img", name="Bridge map")).to_be_visible()
-    page.get_by_role("radio", name="minutes").check(force=True)
+    page.get_by_role("radio", name="minutes").check()
     page.get_by_text("Settings of this run").click()
     expect(page.get_by_label("config.toml")).to_contain_text("[run]")
+
+
+def look_closer(visitor, url, name):
+    """A part of a chart that was enlarged stays so while the run goes on, and a page that nobody sees gives its stream back."""
+    page, facts = visitor.page, visitor.page.locator(".facts")
+    page.goto(url)
+    chart = page.get_by_role("img", name="Learning curve")
+    expect(chart.locator(".u-over")).to_be_visible(timeout=LIMIT_MS)
+    box = chart.locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 40, steps=5)
+    page.mouse.up()
+    page.mouse.move(0, 0)
+    page.wait_for_timeout(300)
+    picture, before = (chart.locator("canvas").evaluate("canvas => canvas.toDataURL()"), facts.inner_text())
+    expect(facts).not_to_have_text(before, timeout=LIMIT_MS)
+    check(name, chart.locator("canvas").evaluate("canvas => canvas.toDataURL()") == picture, "an enlarged part of a chart does not stay")
+    hide = "hidden => { Object.defineProperty(document, 'hidden', { value: hidden, configurable: true }); document.dispatchEvent(new Event('visibilitychange')) }"
+    with page.expect_request(lambda request: "/state" in request.url, timeout=LIMIT_MS):
+        page.evaluate(hide, True)
+    with page.expect_request(lambda request: "/events" in request.url, timeout=LIMIT_MS):
+        page.evaluate(hide, False)
 
 
 def main():
@@ -166,6 +209,9 @@ def main():
         train(program, "maze-small", "--algo", "ha-diiqn", "--env-steps", "8000", "--quiet", "--out", done)
         train(program, "maze-small", "--algo", "dqn", "--env-steps", "8000", "--quiet", "--out", plain)
         train(program, "maze-small", "--mode", "free", "--actors", "2", "--env-steps", "4000", "--quiet", "--out", runs / "free")
+        often = ["--set", "env.hazard.kind=panic", "--set", "env.hazard.after=600", "--set", "supervise.restarts=30"]
+        train(program, "maze-small", "--mode", "free", "--actors", "2", "--env-steps", "6000", "--quiet", "--out", runs / "restarts", *often)
+        train(program, "maze-small", "--env-steps", "100", "--quiet", "--out", runs / "short")
         hazard = ["--set", "env.hazard.kind=panic", "--set", "env.hazard.after=2000", "--set", "supervise.restarts=0"]
         failed = train(program, "maze-small", "--quiet", "--out", runs / "failing", *hazard, check_status=False)
         check("failing", failed.returncode != 0, "the run did not fail")
@@ -177,6 +223,7 @@ def main():
         evil = place / "evil"
         hostile(evil, done)
         (evil / "out").symlink_to("/etc")
+        odd = strange(place / "odd", done)
         (place / "empty").mkdir()
         live = place / "live"
         trainer = subprocess.Popen([program, "train", "maze30", "--algo", "ha-diiqn", "--quiet", "--out", live, "--env-steps", "100000000", "--episodes",
@@ -190,6 +237,7 @@ def main():
         goes = place / "goes"
         shutil.copytree(done, goes, symlinks=True)
         goes_url = stack.enter_context(watching(program, goes))
+        odd_url = stack.enter_context(watching(program, place / "odd"))
         later_url = stack.enter_context(watching(program, place / "later"))
         map_of = ".stage svg"
         evil_path = "/run/%3Cimg%20src%3Dx%20onerror%3Dwindow.pwned%3D1%3E/seed-0"
@@ -209,6 +257,12 @@ def main():
                 visitor.visit("free", f"{url}/run/free", "tbody td")
                 inside = visitor.page.evaluate("(() => { const [a, b] = ['.wide', '.card:has(> * > .wide)'].map(s => document.querySelector(s).getBoundingClientRect().right); return a <= b })()")
                 check(f"free on {visitor.name}", inside, "a table is wider than its card")
+                visitor.visit("restarts", f"{url}/run/restarts", ".events time")
+                visitor.visit("short", f"{url}/run/short", map_of)
+                for name, run in odd.items():
+                    visitor.visit(name, f"{odd_url}/run/{run.name}", map_of)
+                visitor.visit("odd-folder", odd_url, "tbody a")
+                visitor.visit("no-text", f"{url}/run/%", ".hero:visible")
                 visitor.visit("folder", url, "tbody a")
                 visitor.visit("sweep", sweep_url, "tbody a")
                 expect(visitor.page.locator(".card tbody a")).to_have_count(6)
@@ -230,6 +284,7 @@ def main():
         visitor.visit("many", many_url, "tbody a")
         expect(visitor.page.locator(".card tbody a")).to_have_count(1000)
         expect(visitor.page.get_by_text("10,000")).not_to_have_count(0)
+        look_closer(visitor, live_url, "live, enlarged")
         visitor.visit("going", goes_url, map_of)
         shutil.rmtree(goes)
         expect(visitor.page.get_by_role("alert").filter(has_text="is gone")).to_be_visible(timeout=LIMIT_MS)

@@ -1,8 +1,9 @@
 //! `trestle demo inspect`
 
+use super::meet;
 use super::picture::Picture;
-use super::{free, meet};
 use crate::cli::Inspect;
+use crate::commands::picture::{as_kind, kind};
 use anyhow::{Context, Result};
 use std::fs;
 use trestle_actor::env::{Ground, registry};
@@ -13,10 +14,11 @@ use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, CovarianceKind, Demos, Mentor};
 use trestle_proto::rundir::RunDir;
 
+/// The kinds of files that a demonstration can be drawn into.
+const KINDS: [&str; 3] = ["svg", "png", "pdf"];
+
 pub(super) fn run(args: &Inspect) -> Result<()> {
-    if let Some(svg) = &args.svg {
-        free(svg, args.overwrite)?;
-    }
+    let kind = args.picture.as_deref().map(|out| kind(out, &KINDS, args.overwrite)).transpose()?;
     let dir = RunDir::new(&args.demo);
     let (file, own) = if args.demo.is_dir() {
         (dir.demonstration(), Some(dir.config().display().to_string()))
@@ -40,7 +42,7 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             let drawn = registry().draw(env, &[(mentors.all.states(), 'm')])?;
             let ground = registry().ground(env)?;
             let down = ground.as_ref().is_some_and(|ground| grows_down(ground.as_ref(), mentors.all.dim()));
-            picture(args, &mentors.all, down, drawn, ground.as_deref())
+            picture(args, kind, &mentors.all, down, drawn, ground.as_deref())
         }
         None => {
             let demonstration = demo_file::read(&file)?;
@@ -55,7 +57,7 @@ pub(super) fn run(args: &Inspect) -> Result<()> {
             outln!("{} by itself, KL in standard deviations of its own features", file.display());
             outln!("{}", summarise(&demonstration, &metric, n as usize, &[]).to_string().trim_end());
             outln!("With --config PRESET|CONFIG.TOML: the metric of that, its thresholds and its map");
-            picture(args, &demonstration, false, None, None)
+            picture(args, kind, &demonstration, false, None, None)
         }
     }
 }
@@ -69,10 +71,11 @@ fn grows_down(ground: &dyn Ground, dim: usize) -> bool {
     row(0.0) < row(1.0)
 }
 
-/// Draws on the terminal, on the map `drawn` where there is one and no axes are asked for, and into a file; `down` if
-/// the second feature grows downwards.
+/// Draws on the terminal, on the map `drawn` where there is one and no axes are asked for, and into a file of `kind`; `down`
+/// if the second feature grows downwards.
 fn picture(
     args: &Inspect,
+    kind: Option<&str>,
     demonstration: &Demonstration,
     down: bool,
     drawn: Option<String>,
@@ -83,11 +86,11 @@ fn picture(
         Some(map) if args.axes.is_none() => outln!("{map}"),
         _ => outln!("{}", picture.text()),
     }
-    if let Some(svg) = &args.svg {
+    if let (Some(out), Some(kind)) = (&args.picture, kind) {
         // Walls are where the first two features say.
-        fs::write(svg, picture.svg(ground.filter(|_| args.axes.is_none())))
-            .with_context(|| format!("cannot write {}", svg.display()))?;
-        outln!("drawing       {}", svg.display());
+        let svg = picture.svg(ground.filter(|_| args.axes.is_none()));
+        fs::write(out, as_kind(svg, kind)?).with_context(|| format!("cannot write {}", out.display()))?;
+        outln!("drawing       {}", out.display());
     }
     Ok(())
 }

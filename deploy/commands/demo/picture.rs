@@ -121,7 +121,11 @@ impl<'a> Picture<'a> {
     /// begins, a dot where it ends, filled if that is a terminal state. The walls of `ground` are drawn where there is one.
     pub(super) fn svg(&self, ground: Option<&dyn Ground>) -> String {
         let walls = ground.map_or_else(Vec::new, walls);
-        let corners: Vec<[f64; 2]> = walls.iter().flatten().copied().collect();
+        // All of the map is shown, half a cell around its outer places.
+        let corners = ground.map_or_else(Vec::new, |ground| {
+            let [columns, rows] = ground.size().map(|size| size as f64);
+            vec![corner(ground, [-0.5, -0.5]), corner(ground, [columns - 0.5, rows - 0.5])]
+        });
         let (mut low, mut high) = (self.low, [0, 1].map(|axis: usize| self.low[axis] + self.extent[axis]));
         for point in &corners {
             for axis in 0..2 {
@@ -150,7 +154,8 @@ impl<'a> Picture<'a> {
         );
         // Writing to a string cannot fail.
         for wall in &walls {
-            let [[x0, y0], [x1, y1]] = wall.map(at);
+            // Rounded as they are written, so that neighbours meet.
+            let [[x0, y0], [x1, y1]] = wall.map(|corner| at(corner).map(|at| (10.0 * at).round() / 10.0));
             let (x, y, w, h) = (x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs());
             let _ = writeln!(
                 out,
@@ -207,16 +212,20 @@ impl<'a> Picture<'a> {
 /// Two opposite corners of each wall, as the first two features say them.
 fn walls(ground: &dyn Ground) -> Vec<[[f64; 2]; 2]> {
     let [columns, rows] = ground.size();
-    let corner = |place: [f64; 2]| {
-        let state = ground.state(place);
-        [f64::from(state[0]), f64::from(state[1])]
-    };
     let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| [column, row]));
     cells
         .filter(|&cell| !ground.is_free(cell))
         .map(|cell| cell.map(|at| at as f64))
-        .map(|[column, row]| [corner([column - 0.5, row - 0.5]), corner([column + 0.5, row + 0.5])])
+        .map(|[column, row]| {
+            [corner(ground, [column - 0.5, row - 0.5]), corner(ground, [column + 0.5, row + 0.5])]
+        })
         .collect()
+}
+
+/// The first two features at `place`.
+fn corner(ground: &dyn Ground, place: [f64; 2]) -> [f64; 2] {
+    let state = ground.state(place);
+    [f64::from(state[0]), f64::from(state[1])]
 }
 
 /// Round numbers from `low` to `high`, some five of them.
@@ -293,9 +302,9 @@ mod tests {
             }
         }
         let svg = Picture::new(&square(), None, true).unwrap().svg(Some(&Wall));
-        // From 0.5 to 1.5 of 0 to 4, and from -0.5 to 0.5 of -0.5 to 2.
+        // From 0.5 to 1.5 of -0.5 to 4, and from -0.5 to 0.5 of -0.5 to 2.
         assert!(
-            svg.contains("x=\"144.0\" y=\"16.0\" width=\"160.0\" height=\"160.0\" fill=\"#3c3e46\""),
+            svg.contains("x=\"206.2\" y=\"16.0\" width=\"142.2\" height=\"142.2\" fill=\"#3c3e46\""),
             "{svg}"
         );
     }

@@ -62,8 +62,10 @@ pub struct Maze {
 /// Left of the map on its picture, and the width of the legend beside it.
 const LEFT: i32 = 16;
 const LEGEND: i32 = 216;
-/// Height of the legend below the map on a page.
-const BELOW: i32 = 120;
+/// Length and height of the scale below the map on a page, and height of a line of its legend.
+const PAGE_SCALE: i32 = 320;
+const PAGE_SCALE_HEIGHT: i32 = 80;
+const PAGE_LINE: i32 = 28;
 
 /// How a picture is laid out: pixels of the map's longer side, about, where it begins, and the size of letters.
 struct Layout {
@@ -119,15 +121,18 @@ impl Maze {
     /// # Errors
     /// Those of the drawing library.
     pub fn paths_svg(&self, view: View) -> Result<String, PlotError> {
-        self.svg(view, self.paths_note(), |picture| {
+        // A path that is led along has no findings, and without a mentor there are no steps to be explained.
+        let led = self.mentor.iter().any(|(.., step)| *step == Step::Led);
+        let known =
+            Step::ALL.iter().filter(|(step, ..)| (*step == Step::Led) == led && !self.mentor.is_empty());
+        let learnt = [(LEARNT, "learnt path (greedy)")];
+        let entries: Vec<_> = known.map(|(_, color, name)| (*color, *name)).chain(learnt).collect();
+        let below = 16 + PAGE_LINE * entries.len() as i32;
+        self.svg(view, self.paths_note(), below, |picture| {
             picture.walls(INK)?;
             picture.mentor()?;
             picture.learnt()?;
             picture.ends()?;
-            // A path that is led along has no findings.
-            let led = self.mentor.iter().any(|(.., step)| *step == Step::Led);
-            let known = Step::ALL.iter().filter(|(step, ..)| (*step == Step::Led) == led);
-            let entries: Vec<_> = known.map(|(_, color, name)| (*color, *name)).collect();
             picture.legend(&entries)
         })
     }
@@ -203,7 +208,7 @@ impl Maze {
         share: impl Fn(f64) -> f64,
         marks: [f64; 3],
     ) -> Result<String, PlotError> {
-        self.svg(view, what, |picture| {
+        self.svg(view, what, 16 + PAGE_SCALE_HEIGHT, |picture| {
             for (index, &number) in numbers.iter().enumerate() {
                 let share = share(number);
                 if share.is_finite() && !self.in_wall(index) {
@@ -216,10 +221,12 @@ impl Maze {
         })
     }
 
+    /// A picture of `what`, on a page with `below` pixels under the map.
     fn svg(
         &self,
         view: View,
         what: &str,
+        below: i32,
         draw: impl FnOnce(&Picture<'_, '_>) -> Result<(), PlotError>,
     ) -> Result<String, PlotError> {
         let side = self.side(view);
@@ -227,7 +234,7 @@ impl Maze {
         let [width, height] = self.size.map(|n| n as i32 * side);
         let size = match view {
             View::Paper | View::Figure => [LEFT + width + LEGEND, (top + height + 16).max(top + 200)],
-            View::Page => [(2 * LEFT + width).max(320), top + height + BELOW],
+            View::Page => [2 * LEFT + width.max(PAGE_SCALE), top + height + below],
         };
         svg(size.map(|n| n as u32), |area| {
             let picture = Picture { area, maze: self, view, side, top };
@@ -324,12 +331,9 @@ impl Picture<'_, '_> {
         }
     }
 
-    fn legend(&self, steps: &[(RGBColor, &str)]) -> Result<(), PlotError> {
+    fn legend(&self, entries: &[(RGBColor, &str)]) -> Result<(), PlotError> {
         let (x, top) = self.beside();
-        let learnt = [(LEARNT, "learnt path (greedy)")];
-        // Without a mentor there are no steps to be explained.
-        let steps = if self.maze.mentor.is_empty() { &[][..] } else { steps };
-        for (index, (color, name)) in steps.iter().chain(&learnt).enumerate() {
+        for (index, (color, name)) in entries.iter().enumerate() {
             let y = top + (layout(self.view).letters as i32 + 10) * index as i32;
             self.path(vec![(x, y), (x + 26, y)], color.stroke_width(3))?;
             self.say(
@@ -344,7 +348,7 @@ impl Picture<'_, '_> {
 
     /// The colours from low to high with three numbers and what they are.
     fn scale(&self, unit: &str, marks: [f64; 3]) -> Result<(), PlotError> {
-        const LENGTH: i32 = 160;
+        const LENGTH: i32 = PAGE_SCALE / 2;
         let (x, top) = self.beside();
         let letters = layout(self.view).letters;
         let fill = |corners, style: ShapeStyle| {

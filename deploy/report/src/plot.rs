@@ -91,6 +91,9 @@ fn dashes(index: usize) -> (u32, u32) {
     DASHES[(index + index / COLORS.len()) % DASHES.len()]
 }
 
+/// Areas side by side show no seam between them. A page says it once.
+const CRISP: &str = "<style>rect{shape-rendering:crispEdges}</style>";
+
 /// A place to draw on.
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -106,6 +109,8 @@ pub(crate) fn svg(
         draw(&area)?;
         area.present().map_err(PlotError::draw)?;
     }
+    let head = text.find("<svg").and_then(|start| Some(start + text[start..].find('>')? + 1)).unwrap_or(0);
+    text.insert_str(head, CRISP);
     Ok(text)
 }
 
@@ -124,6 +129,7 @@ pub fn inline(svg: &str) -> String {
         .replace(&hex(INK), "\"currentColor\"")
         .replace(&hex(GRID), "\"var(--grid)\"")
         .replace(&hex(PAPER), "\"var(--paper)\"")
+        .replacen(CRISP, "", 1)
 }
 
 /// The PNG of `svg`, twice as many pixels each way.

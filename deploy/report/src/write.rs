@@ -397,6 +397,10 @@ impl Drawing<'_> {
 
     fn shares_over_time(&self, output: &mut Output<'_>) -> Result<(), WriteError> {
         for (axis, time) in [(Axis::Episodes, Time::SolvedEpisode), (Axis::EnvSteps, Time::SolvedEnvSteps)] {
+            // A picture of nobody is an empty box.
+            if !self.task.groups.iter().flat_map(|group| group.times(time)).any(f64::is_finite) {
+                continue;
+            }
             let end = time.longest(self.task);
             let mut counts = Vec::new();
             let lines = self.lines(|group| {
@@ -531,7 +535,10 @@ impl Drawing<'_> {
             x: plot::Axis::fit(axis.label(), Scale::Linear, 0.0, end),
             y: plot::Axis::fit(label, if wide { Scale::SignedLog } else { Scale::Linear }, low, high),
             lines,
-            rules: rule.map(|at| (at, format!("threshold {at:.2}"))).into_iter().collect(),
+            rules: rule
+                .map(|at| (at, format!("threshold {}", (100.0 * at).round() / 100.0)))
+                .into_iter()
+                .collect(),
             note: format!("{}{}", band.note(), if wide { "; logarithmic scale" } else { "" }),
         };
         output.chart(&self.name(&format!("{what}-{}-{}", band.name(), axis.name())), &chart, &counts)
@@ -759,14 +766,15 @@ fn profiles(output: &mut Output<'_>, overview: &Overview, names: &[&str]) -> Res
     let chart = Chart {
         title: "Performance profiles over all tasks".into(),
         x: plot::Axis::exact(
-            &format!("environment steps over {}'s median on the task, binary logarithm", overview.baseline),
+            &format!("log2(steps / {}'s median)", overview.baseline),
             low,
             high,
         ),
         y: plot::Axis::exact("share of runs solved, mean over tasks", 0.0, 1.0),
         lines,
         rules: Vec::new(),
-        note: "0: the baseline's median; band: 95 % stratified bootstrap interval".into(),
+        note: "environment steps over the baseline's median on the task; band: 95 % stratified bootstrap interval"
+            .into(),
     };
     output.chart("over-tasks-profiles", &chart, &counts)
 }

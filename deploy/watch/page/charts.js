@@ -25,13 +25,16 @@ function swatch(line) {
   }));
 }
 
+// Without points nothing would be seen of a line that has one.
+const few = (line) => line.y.filter((y) => y !== null && y !== undefined).length < 3;
+
 // `lines`: {label, color, width, dash, points, x, y, low, high}: a line with its own x, and a band around it where there is one.
 export class Chart {
   constructor({ label, height = 220, y = "", log = false, range = null, format = number }) {
     this.settings = { label, height, y, log, range, format };
     this.box = h("div", { class: "chart", role: "img", "aria-label": label });
     this.legend = h("ul", { class: "legend" });
-    this.none = h("p", { class: "empty hidden" }, "Nothing recorded yet");
+    this.none = h("p", { class: "empty hidden" }, "Nothing recorded");
     this.element = h("div", { class: "stack tight" }, this.box, this.none, this.legend);
     this.shape = "";
     new ResizeObserver(() => this.resize()).observe(this.box);
@@ -52,14 +55,18 @@ export class Chart {
       return place;
     });
     this.data = columns.length === 1 ? columns[0] : window.uPlot.join(columns);
-    const shape = JSON.stringify([xLabel, this.lines.map((line) => [line.label, line.color, line.dash, !!line.low, !!line.points])]);
+    const shape = JSON.stringify([xLabel, this.lines.map((line) => [line.label, line.color, line.dash, !!line.low, !!line.points, few(line)])]);
     if (shape !== this.shape || !this.plot) {
       this.shape = shape;
       this.build();
     } else {
-      this.plot.setData(this.data);
+      // A part that somebody has enlarged stays, whatever comes.
+      const { scales: { x: { min, max } }, data: [xs] } = this.plot;
+      const part = min > xs[0] || max < xs.at(-1);
+      this.plot.setData(this.data, !part);
+      if (part) this.plot.setScale("x", { min, max });
     }
-    this.tell(null);
+    this.tell(this.plot.cursor.idx);
   }
 
   build() {
@@ -72,7 +79,7 @@ export class Chart {
       const stroke = color(line.color);
       series.push({
         label: line.label, stroke, width: line.width ?? 2, dash: line.dash, spanGaps: true,
-        points: { show: !line.constant && (!!line.points || line.x.length < 3), size: 5, fill: stroke },
+        points: { show: !line.constant && (!!line.points || few(line)), size: 5, fill: stroke },
       });
       if (line.low) {
         const hidden = { stroke: "transparent", width: 0, spanGaps: true, points: { show: false } };

@@ -41,20 +41,22 @@ export function check(label, checked, onchange) {
 }
 
 const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
-export const count = (x) => (Number.isFinite(x) ? whole.format(x) : "–");
+// Numbers that no run comes to are not written out.
+const HUGE = 1e15;
+export const count = (x) => (!Number.isFinite(x) ? "–" : Math.abs(x) < HUGE ? whole.format(x) : x.toExponential(1));
 export const percent = (x) => (Number.isFinite(x) ? `${(100 * x).toFixed(x > 0 && x < 0.1 ? 1 : 0)} %` : "–");
 export function number(x) {
   if (!Number.isFinite(x)) return "–";
   const size = Math.abs(x);
-  if (size >= 1000) return whole.format(x);
+  if (size >= 1000) return count(x);
   if (size !== 0 && size < 0.001) return x.toExponential(1);
-  return String(Number(x.toFixed(size >= 100 ? 1 : 3)));
+  return String(Number(size < 1 ? x.toPrecision(3) : x.toFixed(size >= 100 ? 1 : 3)));
 }
 export function duration(s) {
   if (!Number.isFinite(s)) return "–";
   if (s < 10) return `${s.toFixed(1)} s`;
   const [hours, minutes, seconds] = [Math.floor(s / 3600), Math.floor(s / 60) % 60, Math.floor(s) % 60];
-  if (hours >= 48) return `${Math.round(hours / 24)} days`;
+  if (hours >= 48) return `${count(hours / 24)} days`;
   if (hours) return `${hours} h ${minutes} min`;
   return minutes ? `${minutes} min ${seconds} s` : `${seconds} s`;
 }

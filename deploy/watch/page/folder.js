@@ -83,7 +83,7 @@ export class FolderView {
     document.title = `${running ? `${count(of("finished"))}/${count(all)} ` : ""}${name} – Trestle`;
     say(this.subtitle, [state.sweep === null ? "Folder of runs" : `Sweep of ${state.sweep}`, state.path].join(" · "));
     const stand = running ? "running" : of("failed") ? "failed" : all > 0 && of("finished") === all ? "finished" : null;
-    this.pills.replaceChildren(...(stand ? [pill(stand)] : []));
+    this.pills.replaceChildren(...(stand ? [pill(stand, stand === "failed" ? `${count(of("failed"))} failed` : undefined)] : []));
     show(this.none, state.runs === 0);
     show(this.some, state.runs > 0);
     if (state.runs === 0) return;
@@ -103,6 +103,7 @@ export class FolderView {
       const select = h("select", { "aria-label": "Task", onchange: (event) => { this.task = event.target.value; this.draw(); } },
         tasks.map((task) => h("option", { value: task, selected: task === this.task }, task)));
       this.tasks.replaceChildren(...(tasks.length > 1 ? [select] : []));
+      show(this.tasks, tasks.length > 1);
     }
     this.draw();
     this.list();

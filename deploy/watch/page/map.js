@@ -18,6 +18,10 @@ const WAYS = {
   north: [0, -1], east: [1, 0], south: [0, 1], west: [-1, 0], up: [0, -1], right: [1, 0], down: [0, 1], left: [-1, 0],
 };
 const VIRIDIS = [[68, 1, 84], [68, 57, 131], [49, 104, 142], [33, 145, 140], [53, 183, 121], [144, 215, 67], [253, 231, 37]];
+// Features that are offered, squares along the side of a cell, and squares of a map, at most: what a file says is not trusted.
+const MAX_DIMS = 8;
+const MAX_FINE = 16;
+const MAX_SQUARES = 2e6;
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 function way(name) {
@@ -91,8 +95,8 @@ export class BridgeMap {
     this.hint = h("p", { class: "soft small" }, "Click on a step of the mentor's path to see the findings about it.");
     this.none = h("p", { class: "empty" }, "The map comes with the first moment of the run.");
     this.body = h("div", { class: "map hidden" },
-      h("div", { class: "stack" }, this.stage, h("div", { class: "time" }, this.slider, this.live, this.when), this.step),
-      h("div", { class: "side" }, this.legend, this.layers, this.scale, this.hint));
+      h("div", { class: "stack" }, this.stage, h("div", { class: "time" }, this.slider, this.live, this.when)),
+      h("div", { class: "side" }, this.legend, this.layers, this.scale, this.hint), this.step);
     this.element = h("section", { class: "card", "aria-labelledby": "map-title" },
       h("header", {}, this.title = h("h2", { id: "map-title" }, "Bridge map"), this.views), this.none, this.body);
     this.stage.addEventListener("click", (event) => this.pickAt(event));
@@ -111,6 +115,7 @@ export class BridgeMap {
       return;
     }
     this.fetching = true;
+    let more = false;
     try {
       while (this.wanted.edition !== this.edition || this.wanted.lines > this.moments.length + 1) {
         const from = this.wanted.edition === this.edition ? this.moments.length + 1 : 0;
@@ -125,9 +130,10 @@ export class BridgeMap {
           this.begin(part.head, part.edition);
         }
         if (!part.moments.length) break;
+        more = true;
         this.moments.push(...part.moments.map((moment) => moment ?? {}));
       }
-      this.refresh();
+      if (more) this.refresh();
     } catch {
       // The next state tries again.
     } finally {
@@ -138,9 +144,10 @@ export class BridgeMap {
   begin(head, edition) {
     const first = !this.head;
     [this.edition, this.moments, this.head] = [edition, [], head ?? {}];
-    const map = this.head.map;
+    this.cells = this.squares(this.head.map);
+    const map = this.cells;
     const mentor = (this.head.mentor ??= {});
-    this.dims = Math.max(1, Number(this.head.dims) || 1);
+    this.dims = Math.min(MAX_DIMS, Math.max(1, Math.floor(Number(this.head.dims)) || 1));
     const points = (flat) => {
       const found = [];
       for (let at = 0; at + this.dims <= array(flat).length; at += this.dims) found.push(flat.slice(at, at + this.dims).map(Number));
@@ -151,7 +158,6 @@ export class BridgeMap {
     this.to = points(mentor.to);
     this.stride = Math.max(1, Number(mentor.stride) || 1);
     this.ways = array(this.head.actions).map(way);
-    this.cells = map ? this.squares(map) : null;
     if (!first) return;
     this.history = mentor.led ? new Chart({ label: "Probability of the likeliest action over the run", height: 130, range: () => [0, 1], format: percent })
       : new Chart({ label: "e_KL of the mentor step over the run", height: 130, log: true, format: (x) => (x > 0 ? x.toPrecision(2) : "0") });
@@ -192,10 +198,12 @@ export class BridgeMap {
     if (this.selects) this.selects.forEach((select) => show(select, this.view === "features"));
   }
 
-  // Which pixel of the background each free square is, in the order in which moments tell of them.
+  // Which pixel of the background each free square is, in the order in which moments tell of them; none without a map.
   squares(map) {
-    const rows = array(map.rows).map(String);
-    const [columns, fine] = [rows[0]?.length ?? 0, Math.max(1, Number(this.head.squares) || 1)];
+    const rows = array(map?.rows).map(String);
+    const [columns, fine] = [rows[0]?.length ?? 0, Math.min(MAX_FINE, Math.max(1, Math.floor(Number(this.head.squares)) || 1))];
+    const total = columns * rows.length * fine * fine;
+    if (total === 0 || total > MAX_SQUARES) return null;
     const free = [];
     for (let row = 0; row < rows.length * fine; row += 1) {
       for (let column = 0; column < columns * fine; column += 1) {
@@ -296,7 +304,9 @@ export class BridgeMap {
     if (this.shown.actions && looks) parts.push(h("path", { class: "arrows", d: this.arrows(array(looks.policy)) }));
     const length = this.length();
     parts.push(...this.scene((point) => point, Math.min(0.22, 0.3 * length), length));
-    const round = near(Math.min(0.36, 0.028 * Math.max(columns, rows.length)));
+    // In small cells the marks are larger than a cell, so that their letters have 12 pixels.
+    const pixels = (this.stage.clientWidth || 480) / columns;
+    const round = near(Math.max(0.36, 12 / (1.4 * pixels)));
     const letters = [["S", this.head.map.ends?.[0]], ["G", this.head.map.ends?.[1]]];
     for (const [letter, place] of letters) {
       const [x, y] = array(place).map(Number);

@@ -6,7 +6,16 @@ import { RunView } from "./run.js";
 
 const main = document.getElementById("main");
 const link = document.getElementById("link");
-const below = location.pathname.startsWith("/run/") ? decodeURIComponent(location.pathname.slice(5)) : "";
+const below = location.pathname.startsWith("/run/") ? decoded(location.pathname.slice(5)) : "";
+
+// An address that says no text stays as it was typed.
+function decoded(path) {
+  try {
+    return decodeURIComponent(path);
+  } catch {
+    return path;
+  }
+}
 
 function crumbs() {
   const names = below.split("/").filter(Boolean);
@@ -58,22 +67,69 @@ function render(state) {
   view.update(state);
 }
 
+// Browsers allow a handful of connections to one server: a page that nobody sees gives its stream back, and asks now and then, so
+// that its title stays true.
+const HIDDEN_MS = 5000;
+let source = null;
+let timer = null;
+
+function tell(text, style) {
+  say(link, text);
+  link.className = `link ${style}`;
+}
+
+function later(what, ms) {
+  clearTimeout(timer);
+  timer = setTimeout(what, ms);
+}
+
 function connect() {
-  const source = new EventSource(address("events", below));
-  const tell = (text, style) => { say(link, text); link.className = `link ${style}`; };
+  source?.close();
+  clearTimeout(timer);
+  if (document.hidden) {
+    ask();
+    return;
+  }
+  source = new EventSource(address("events", below));
   source.onopen = () => tell("live", "on");
   source.onmessage = (event) => {
     tell("live", "on");
     render(JSON.parse(event.data));
   };
   source.onerror = () => {
-    tell("no connection; trestle watch has ended?", "off");
+    tell("no connection; has trestle watch ended?", "off");
+    // An answer that is no stream says why; without an answer the browser itself tries again.
     if (source.readyState === EventSource.CLOSED) {
-      source.close();
-      setTimeout(connect, 3000);
+      why();
+      later(connect, 3000);
     }
   };
 }
 
+async function ask() {
+  try {
+    render(await (await fetch(address("state", below))).json());
+  } catch {
+    // The next time tells.
+  }
+  if (document.hidden) later(ask, HIDDEN_MS);
+}
+
+async function why() {
+  try {
+    const end = new AbortController();
+    const answer = await fetch(address("events", below), { signal: end.signal });
+    if (!answer.ok) {
+      const text = await answer.text();
+      tell(text, "off");
+      if (!view) main.replaceChildren(h("section", { class: "card hero" }, h("h1", {}, text)));
+    }
+    end.abort();
+  } catch {
+    // There is no server to say it.
+  }
+}
+
+document.addEventListener("visibilitychange", connect);
 crumbs();
 connect();

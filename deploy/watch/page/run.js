@@ -42,9 +42,9 @@ export class RunView {
     this.error = new Chart({ label: "Mean e_KL", height: 170, y: "" });
     this.explore = new Chart({ label: "Exploration", height: 170, y: "", range: () => [0, 1] });
     this.replay = new Chart({ label: "Replay", height: 170, y: "", format: short, range: (_, low, high) => [0, high > 0 ? 1.1 * high : 1] });
-    this.memory = new Chart({ label: "Memory of the learner", height: 170, y: "MiB", range: (_, low, high) => [0, high > 0 ? 1.2 * high : 1] });
+    this.memory = new Chart({ label: "Memory of the learner", height: 170, y: "MiB", format: (x) => String(Math.round(10 * x) / 10), range: (_, low, high) => [0, high > 0 ? 1.2 * high : 1] });
     this.actors = h("div", {});
-    this.events = h("ul", { class: "events" });
+    this.events = h("ul", { class: "events", tabindex: 0, "aria-label": "What happened to processes, the newest first" });
     this.tabs = h("div", { class: "group" });
     this.log = h("pre", { class: "log", tabindex: 0, "aria-label": "Last lines of the log" });
     this.settings = h("pre", { tabindex: 0, "aria-label": "config.toml" });
@@ -124,8 +124,14 @@ export class RunView {
   }
 
   async loadSettings() {
-    const answer = await fetch(address("settings", this.below));
-    say(this.settings, answer.ok ? await answer.text() : "config.toml cannot be read");
+    let text = null;
+    try {
+      const answer = await fetch(address("settings", this.below));
+      if (answer.ok) text = await answer.text();
+    } catch {
+      // There is no server any more.
+    }
+    say(this.settings, text ?? "config.toml cannot be read");
   }
 
   update(state) {
@@ -174,7 +180,7 @@ export class RunView {
     }
     this.tellLogs();
     say(this.command, facts.command);
-    say(this.built, [facts.version && `Trestle ${facts.version}`, facts.commit && `commit ${facts.commit}`, state.weights_sha256 && `weights ${state.weights_sha256.slice(0, 12)}`, state.path].filter(Boolean).join(" · "));
+    say(this.built, [facts.version && `Trestle ${facts.version}`, facts.commit && `commit ${facts.commit.slice(0, 12)}`, state.weights_sha256 && `weights ${state.weights_sha256.slice(0, 12)}`, state.path].filter(Boolean).join(" · "));
   }
 
   draw() {
@@ -209,7 +215,7 @@ export class RunView {
     this.error.set([one("mean e_KL", "e_kl")], label);
     this.explore.set([one("ε", "epsilon")], label);
     this.replay.set([one("stored transitions", "replay")], label);
-    this.memory.set([one("resident", "memory_mb")], label);
+    this.memory.set([one("resident, MiB", "memory_mb")], label);
   }
 
   tellActors() {
@@ -231,14 +237,22 @@ export class RunView {
 
   tellLogs() {
     const logs = this.state.logs ?? [];
-    const names = logs.map((log) => log.process).join();
+    // The last words of the process that a run failed with are looked for first.
+    const died = this.state.state === "failed" && logs.find((log) => String(this.state.reason).startsWith(`${log.process} `))?.process;
+    const names = [died, ...logs.map((log) => log.process)].join();
     if (this.logNames !== names) {
       this.logNames = names;
-      this.process = logs.find((log) => log.process === this.process)?.process ?? logs.find((log) => log.process === "learner")?.process ?? logs[0]?.process;
-      this.tabs.replaceChildren(...(logs.length ? [choice("Process", logs.map((log) => [log.process, log.process]), this.process, (process) => { this.process = process; this.tellLogs(); })] : []));
+      this.process = died || logs.find((log) => log.process === this.process)?.process || logs.find((log) => log.process === "learner")?.process || logs[0]?.process;
+      this.tabs.replaceChildren(...(logs.length ? [choice("Process", logs.map((log) => [log.process, log.process]), this.process, (process) => {
+        this.process = process;
+        this.tellLogs();
+        this.log.scrollTop = this.log.scrollHeight;
+      })] : []));
     }
     const lines = logs.find((log) => log.process === this.process)?.lines ?? [];
+    const atEnd = this.log.scrollHeight - this.log.scrollTop - this.log.clientHeight < 8;
     say(this.log, lines.length ? lines.join("\n") : "Nothing logged yet.");
+    if (atEnd) this.log.scrollTop = this.log.scrollHeight;
   }
 }
 

@@ -11,7 +11,7 @@ use crate::run::{State, is_fresh, is_run, now_s, state};
 use crate::tail::last_lines;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::time::{Duration, Instant};
 use trestle_proto::run_result::RunResult;
@@ -201,8 +201,10 @@ impl FolderPage {
             rows.sort_by_key(|(below, _)| *below);
         }
         let rows: Vec<Row<'_>> = rows.into_iter().map(|(below, summary)| self.row(below, summary)).collect();
+        let tasks = self.tasks();
+        let runs = self.runs.iter().zip(&tasks);
         let curves: Vec<Curve<'_>> =
-            self.runs.iter().map(|(below, summary)| self.curve(below, summary)).collect();
+            runs.map(|((below, summary), task)| self.curve(below, summary, task)).collect();
         json!({
             "kind": "folder",
             "below": self.below.to_string(),
@@ -221,14 +223,41 @@ impl FolderPage {
         .to_string()
     }
 
-    /// The arm of a run: in a sweep the directory of its arm, or else its algorithm.
-    fn arm<'a>(&self, below: &'a Below, summary: &'a Summary) -> &'a str {
+    /// The place of the arm's directory among the names of a run in `<arm>/seed-<N>`.
+    fn arm_at(&self, below: &Below) -> Option<usize> {
         let names = below.names();
         let seed = names.last().is_some_and(|name| name.starts_with("seed-"));
-        match names.len().checked_sub(2).filter(|&at| seed && at >= self.below.names().len()) {
-            Some(at) => &names[at],
-            None => &summary.facts.arm,
+        names.len().checked_sub(2).filter(|&at| seed && at >= self.below.names().len())
+    }
+
+    /// The arm of a run: in a sweep the directory of its arm, or else its algorithm.
+    fn arm<'a>(&self, below: &'a Below, summary: &'a Summary) -> &'a str {
+        self.arm_at(below).map_or(&summary.facts.arm, |at| &below.names()[at])
+    }
+
+    /// The tasks of the runs, in their order, by the names that reports give them: the environment, with the directory above the
+    /// arm's where that has several, or a suite's group and task.
+    fn tasks(&self) -> Vec<String> {
+        let above = |below: &Below| {
+            self.arm_at(below)
+                .map_or(String::new(), |at| below.names()[self.below.names().len()..at].join("/"))
+        };
+        let above: Vec<String> = self.runs.keys().map(above).collect();
+        let mut places: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        for (summary, above) in self.runs.values().zip(&above) {
+            places.entry(&summary.facts.env).or_default().insert(above);
         }
+        let name = |(summary, above): (&Summary, &String)| {
+            let env = summary.facts.env.as_str();
+            if above.split('/').count() == 2 {
+                above.clone()
+            } else if places[env].len() > 1 && !above.is_empty() {
+                format!("{env}, {above}")
+            } else {
+                env.into()
+            }
+        };
+        self.runs.values().zip(&above).map(name).collect()
     }
 
     fn row<'a>(&self, below: &'a Below, summary: &'a Summary) -> Row<'a> {
@@ -254,9 +283,9 @@ impl FolderPage {
         }
     }
 
-    fn curve<'a>(&self, below: &'a Below, summary: &'a Summary) -> Curve<'a> {
+    fn curve<'a>(&self, below: &'a Below, summary: &'a Summary, task: &'a str) -> Curve<'a> {
         Curve {
-            task: &summary.facts.env,
+            task,
             arm: self.arm(below, summary),
             ended: summary.state == State::Finished,
             solved: summary.solved().is_some(),
@@ -439,6 +468,22 @@ mod tests {
         assert_eq!(looked(&mut page, &root)["runs"], 1);
         fs::remove_dir_all(place.path()).unwrap();
         assert!(page.look(&root, &Locks::default()).is_err(), "the folder is gone");
+    }
+
+    /// Two tasks of a suite have one environment, and different mentors.
+    #[test]
+    fn tasks_have_the_names_that_reports_give_them() {
+        let names = |runs: &[&str]| {
+            let place = tempfile::tempdir().unwrap();
+            runs.iter().for_each(|run| write_run(&place.path().join(run), 0, "0,0,0,0,-9,9,0\n"));
+            let seen = looked(&mut FolderPage::new(Below::default()), &Root::new(place.path()).unwrap());
+            let tasks =
+                seen["arms"].as_array().unwrap().iter().map(|task| task["task"].as_str().unwrap().into());
+            tasks.collect::<Vec<String>>()
+        };
+        assert_eq!(names(&["g/a/dqn/seed-0", "g/b/dqn/seed-0", "g/b/dqn/seed-1"]), ["g/a", "g/b"]);
+        assert_eq!(names(&["x/dqn/seed-0", "y/dqn/seed-0", "z"]), ["maze", "maze, x", "maze, y"]);
+        assert_eq!(names(&["x/dqn/seed-0", "x/ha-diiqn/seed-0"]), ["maze"]);
     }
 
     #[test]

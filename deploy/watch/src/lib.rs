@@ -43,25 +43,25 @@ const READERS: usize = 4;
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
     /// The folder.
-    #[error("cannot watch {path}: {source}; accepted: a directory, or the path of one that is to come")]
+    #[error("cannot watch {path}: {cause}; accepted: a directory, or the path of one that is to come")]
     Dir {
         /// Its path.
         path: PathBuf,
         /// Why.
-        source: io::Error,
+        cause: io::Error,
     },
     /// The address.
     #[error(
-        "cannot listen on {address}: {source}; accepted: another --port or --bind; --port 0 takes any that is free"
+        "cannot listen on {address}: {cause}; accepted: another --port or --bind; --port 0 takes any that is free"
     )]
     Bind {
         /// The address.
         address: SocketAddr,
         /// Why.
-        source: io::Error,
+        cause: io::Error,
     },
     /// Serving.
-    #[error("cannot serve the page: {0}")]
+    #[error("cannot serve the page")]
     Serve(#[from] io::Error),
 }
 
@@ -80,13 +80,13 @@ impl Server {
     /// # Errors
     /// `dir` is something else, or the address cannot be had.
     pub fn bind(dir: &Path, bind: IpAddr, port: Option<u16>) -> Result<Self, WatchError> {
-        let root = Root::new(dir).map_err(|source| WatchError::Dir { path: dir.into(), source })?;
+        let root = Root::new(dir).map_err(|cause| WatchError::Dir { path: dir.into(), cause })?;
         let listen = |port| {
             let address = SocketAddr::new(bind, port);
-            TcpListener::bind(address).map_err(|source| WatchError::Bind { address, source })
+            TcpListener::bind(address).map_err(|cause| WatchError::Bind { address, cause })
         };
         let in_use = |error: &WatchError| match error {
-            WatchError::Bind { source, .. } => source.kind() == io::ErrorKind::AddrInUse,
+            WatchError::Bind { cause, .. } => cause.kind() == io::ErrorKind::AddrInUse,
             _ => false,
         };
         let listener = match port {

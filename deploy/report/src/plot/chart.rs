@@ -1,7 +1,7 @@
 //! Lines with bands over two axes.
 
-use super::scale::label;
-use super::{Area, Axis, GRID, INK, PlotError, View, color, dashes, svg, text, upward};
+use super::scale::{every, label};
+use super::{Area, Axis, GRID, INK, PAPER as GROUND, PlotError, View, color, dashes, svg, text, upward};
 use plotters::element::{PathElement, Polygon, Rectangle};
 use plotters::series::DashedLineSeries;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -15,8 +15,6 @@ struct Layout {
     frame: [i32; 4],
     /// Size of the letters at the axes.
     letters: u32,
-    /// Room between two ticks of the horizontal axis, ticks: every second, third, ... one has a label.
-    every: usize,
     /// Whether heading and note, and whether legend and name of the vertical axis are part of the picture.
     head: bool,
     legend: bool,
@@ -24,13 +22,13 @@ struct Layout {
 
 /// A picture that stands for itself.
 const PAPER: Layout =
-    Layout { size: [720, 420], frame: [76, 52, 548, 362], letters: 12, every: 1, head: true, legend: true };
+    Layout { size: [720, 420], frame: [76, 52, 548, 362], letters: 12, head: true, legend: true };
 /// The same without its head.
 const FIGURE: Layout =
-    Layout { size: [720, 376], frame: [76, 8, 548, 318], letters: 12, every: 1, head: false, legend: true };
+    Layout { size: [720, 376], frame: [76, 8, 548, 318], letters: 12, head: false, legend: true };
 /// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
 const PAGE: Layout =
-    Layout { size: [400, 300], frame: [72, 12, 386, 240], letters: 18, every: 2, head: false, legend: false };
+    Layout { size: [400, 300], frame: [72, 12, 386, 240], letters: 18, head: false, legend: false };
 
 /// A line with a band around it.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,17 +95,26 @@ impl Chart {
             say(&self.y.label, upward(letters + 1), (8, (top + bottom) / 2))?;
         }
         say(&self.x.label, text(letters + 1, HPos::Center, VPos::Bottom), ((left + right) / 2, height - 6))?;
-        for (index, x) in self.x.ticks().into_iter().enumerate() {
-            let at = self.pixel(layout, x, self.y.low).0;
+        let ticks = self.x.ticks();
+        let labels: Vec<String> = ticks.iter().map(|&x| label(x)).collect();
+        let places: Vec<i32> = ticks.iter().map(|&x| self.pixel(layout, x, self.y.low).0).collect();
+        let apart = places.windows(2).map(|pair| pair[1] - pair[0]).min().unwrap_or(right - left);
+        let shown = every(&labels, apart, letters);
+        for (index, (words, &at)) in labels.iter().zip(&places).enumerate() {
             self.path(area, vec![(at, top), (at, bottom)], GRID.into())?;
-            if index.is_multiple_of(layout.every) {
-                say(&label(x), text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
+            if index.is_multiple_of(shown) {
+                say(words, text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
             }
         }
+        // Places of a logarithmic axis come close to each other.
+        let mut last = i32::MAX;
         for y in self.y.ticks() {
             let at = self.pixel(layout, self.x.low, y).1;
             self.path(area, vec![(left, at), (right, at)], GRID.into())?;
-            say(&label(y), text(letters, HPos::Right, VPos::Center), (left - 6, at))?;
+            if last.saturating_sub(at) > letters as i32 {
+                say(&label(y), text(letters, HPos::Right, VPos::Center), (left - 6, at))?;
+                last = at;
+            }
         }
         for (index, line) in self.lines.iter().enumerate() {
             let lower = line.points.iter().map(|&(x, _, low, _)| self.pixel(layout, x, low));
@@ -115,15 +122,23 @@ impl Chart {
             let band = Polygon::new(lower.chain(upper).collect::<Vec<_>>(), color(index).mix(0.18));
             area.draw(&band).map_err(PlotError::draw)?;
         }
-        for (at, name) in &self.rules {
+        for (at, _) in &self.rules {
             let y = self.pixel(layout, self.x.low, *at).1;
             self.dashed(area, &[(left, y), (right, y)], (2, 4), INK.stroke_width(1))?;
-            let (place, beside) = if y < top + 16 { (VPos::Top, y + 3) } else { (VPos::Bottom, y - 3) };
-            say(name, text(letters, HPos::Right, place), (right - 4, beside))?;
         }
         for (index, line) in self.lines.iter().enumerate() {
             let path: Vec<_> = line.points.iter().map(|&(x, y, ..)| self.pixel(layout, x, y)).collect();
             self.dashed(area, &path, dashes(index), color(index).stroke_width(2))?;
+        }
+        for (at, name) in &self.rules {
+            let y = self.pixel(layout, self.x.low, *at).1;
+            let (place, beside) = if y < top + 16 { (VPos::Top, y + 3) } else { (VPos::Bottom, y - 3) };
+            let style = text(letters, HPos::Right, place);
+            // Paper around the letters, so that they can be read upon lines.
+            for (x, y) in [(-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (-1, 1), (1, -1), (1, 1)] {
+                say(name, style.clone().color(&GROUND), (right - 4 + x, beside + y))?;
+            }
+            say(name, style, (right - 4, beside))?;
         }
         let frame = Rectangle::new([(left, top), (right, bottom)], INK.stroke_width(1));
         area.draw(&frame).map_err(PlotError::draw)?;

@@ -1,6 +1,6 @@
 //! Values with their intervals, one below the other.
 
-use super::scale::label;
+use super::scale::{every, label};
 use super::{Area, Axis, GRID, INK, PlotError, View, color, svg, text};
 use crate::stats::Estimate;
 use plotters::element::{Circle, PathElement, Rectangle};
@@ -14,8 +14,6 @@ struct Layout {
     right: i32,
     top: i32,
     letters: u32,
-    /// Every second, third, ... tick has a label.
-    every: usize,
     /// Whether heading and note are part of the picture.
     head: bool,
     /// Height of a row.
@@ -25,31 +23,13 @@ struct Layout {
 }
 
 /// A picture that stands for itself.
-const PAPER: Layout = Layout {
-    width: 720,
-    left: 210,
-    right: 610,
-    top: 56,
-    letters: 12,
-    every: 1,
-    head: true,
-    row: 26,
-    beside: true,
-};
+const PAPER: Layout =
+    Layout { width: 720, left: 210, right: 610, top: 56, letters: 12, head: true, row: 26, beside: true };
 /// The same without its head.
 const FIGURE: Layout = Layout { top: 12, head: false, ..PAPER };
 /// A picture of a page, which says the rest: narrow, so that its letters can be read on a phone.
-const PAGE: Layout = Layout {
-    width: 400,
-    left: 8,
-    right: 290,
-    top: 8,
-    letters: 18,
-    every: 2,
-    head: false,
-    row: 50,
-    beside: false,
-};
+const PAGE: Layout =
+    Layout { width: 400, left: 8, right: 290, top: 8, letters: 18, head: false, row: 50, beside: false };
 /// A line of the chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -111,11 +91,15 @@ impl Intervals {
             say(&self.note, text(12, HPos::Left, VPos::Top), (12, 31))?;
         }
         say(&self.x.label, text(letters + 1, HPos::Center, VPos::Bottom), ((left + right) / 2, height - 6))?;
-        for (index, x) in self.x.ticks().into_iter().enumerate() {
-            let at = self.pixel(layout, x);
+        let ticks = self.x.ticks();
+        let labels: Vec<String> = ticks.iter().map(|&x| label(x)).collect();
+        let places: Vec<i32> = ticks.iter().map(|&x| self.pixel(layout, x)).collect();
+        let apart = places.windows(2).map(|pair| pair[1] - pair[0]).min().unwrap_or(right - left);
+        let shown = every(&labels, apart, letters);
+        for (index, (words, &at)) in labels.iter().zip(&places).enumerate() {
             path(&[(at, top), (at, bottom)], GRID.into())?;
-            if index.is_multiple_of(layout.every) {
-                say(&label(x), text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
+            if index.is_multiple_of(shown) {
+                say(words, text(letters, HPos::Center, VPos::Top), (at, bottom + 6))?;
             }
         }
         if let Some(at) = self.rule.map(|x| self.pixel(layout, x)) {

@@ -61,12 +61,15 @@ impl Axis {
     pub fn ticks(&self) -> Vec<f64> {
         let within = |x: &f64| (self.low..=self.high).contains(x);
         if self.scale == Scale::SignedLog {
-            let decades = (0..9).map(|power| 10f64.powi(power));
-            let both = decades.flat_map(|x| [-x, x]).chain([0.0]).filter(within);
-            let mut ticks: Vec<f64> = both.collect();
-            ticks.sort_unstable_by(f64::total_cmp);
-            if ticks.len() >= 3 {
-                return ticks;
+            // Of a short scale the numbers between decades are marked as well.
+            for steps in [&[1.0][..], &[1.0, 2.0, 5.0]] {
+                let sizes = (0..9).flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)));
+                let both = sizes.flat_map(|x| [-x, x]).chain([0.0]).filter(within);
+                let mut ticks: Vec<f64> = both.collect();
+                ticks.sort_unstable_by(f64::total_cmp);
+                if ticks.len() >= 3 {
+                    return ticks;
+                }
             }
         }
         let rough = (self.high - self.low) / 6.0;
@@ -75,6 +78,15 @@ impl Axis {
         let first = (self.low / step).ceil() as i64;
         (first..).map(|n| n as f64 * step).take_while(within).collect()
     }
+}
+
+/// Of labels beside each other every how many can be read, if their middles are `apart` pixels from each other and their letters
+/// are `size` high.
+pub(super) fn every(labels: &[String], apart: i32, size: u32) -> usize {
+    let longest = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0);
+    // Digits are somewhat wider than half their height, and two of them are left free.
+    let width = 0.62 * f64::from(size) * (longest + 2) as f64;
+    (width / f64::from(apart.max(1))).ceil().max(1.0) as usize
 }
 
 /// `x` as a tick's label.
@@ -105,8 +117,18 @@ mod tests {
         assert_eq!(Axis::exact("x", 0.0, 4500.0).ticks(), [0.0, 1000.0, 2000.0, 3000.0, 4000.0]);
         let log = Axis { scale: Scale::SignedLog, ..Axis::exact("y", -3000.0, 2.0) };
         assert_eq!(log.ticks(), [-1000.0, -100.0, -10.0, -1.0, 0.0, 1.0]);
+        let short = Axis { scale: Scale::SignedLog, ..Axis::exact("y", 12.0, 520.0) };
+        assert_eq!(short.ticks(), [20.0, 50.0, 100.0, 200.0, 500.0]);
         let labels = [0.0, 0.2, 500.0, 20_000.0, -1_500_000.0].map(label);
         assert_eq!(labels, ["0", "0.2", "500", "20k", "-1.5M"]);
+    }
+
+    #[test]
+    fn as_many_labels_are_shown_as_there_is_room_for() {
+        let labels = ["0", "2000", "4000", "6000"].map(String::from);
+        assert_eq!(every(&labels, 100, 18), 1);
+        assert_eq!(every(&labels, 60, 18), 2);
+        assert_eq!((every(&labels, 0, 18), every(&[], 50, 18)), (67, 1));
     }
 
     proptest! {
