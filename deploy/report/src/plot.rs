@@ -165,6 +165,26 @@ pub(crate) fn text(size: u32, horizontal: HPos, vertical: VPos) -> TextStyle<'st
     ("sans-serif", size).into_font().color(&INK).pos(Pos::new(horizontal, vertical))
 }
 
+/// Writes `words` with paper around the letters, so that they can be read upon lines.
+fn say_on_lines(
+    area: &Area<'_>,
+    words: &str,
+    style: &TextStyle<'_>,
+    (x, y): (i32, i32),
+) -> Result<(), PlotError> {
+    let say = |style: &TextStyle<'_>, at| area.draw_text(words, style, at).map_err(PlotError::draw);
+    for (dx, dy) in [(-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (-1, 1), (1, -1), (1, 1)] {
+        say(&style.clone().color(&PAPER), (x + dx, y + dy))?;
+    }
+    say(style, (x, y))
+}
+
+/// By how many pixels the longest of `names`, if there are any, is wider than `room` in letters of `size` pixels.
+fn beyond<'a>(names: impl Iterator<Item = &'a str>, size: u32, room: i32) -> i32 {
+    let longest = names.map(|name| name.chars().count()).max();
+    longest.map_or(0, |longest| ((0.62 * f64::from(size) * longest as f64).ceil() as i32 - room).max(0))
+}
+
 /// [`text`] that reads upwards.
 fn upward(size: u32) -> TextStyle<'static> {
     let font = ("sans-serif", size).into_font().transform(FontTransform::Rotate270);
@@ -213,6 +233,31 @@ mod tests {
         for fixed in ["#1F2024", "#DCDDE2", "#FFFFFE"] {
             assert!(!svg.contains(fixed), "{fixed}");
         }
+    }
+
+    #[test]
+    fn long_names_have_room() {
+        let width = |svg: &str| -> u32 {
+            svg.split("width=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()
+        };
+        let long = "x".repeat(60);
+        let mut chart = chart();
+        assert_eq!(width(&chart.svg(View::Paper).unwrap()), 720);
+        chart.lines[1].name.clone_from(&long);
+        assert!(width(&chart.svg(View::Figure).unwrap()) > 548 + 50 + 60 * 7);
+        // A page has its legend elsewhere.
+        assert_eq!(width(&chart.svg(View::Page).unwrap()), 400);
+        let estimate = crate::stats::Estimate { mid: 1.0, low: 0.5, high: 2.0 };
+        let row = |name: &str| Row { name: name.into(), arm: 0, estimate, note: "1".into() };
+        let intervals = |name: &str| Intervals {
+            title: "t".into(),
+            note: "n".into(),
+            x: Axis::fit("x", Scale::Linear, 0.0, 2.0),
+            rows: vec![row(name)],
+            rule: None,
+        };
+        let [short, long] = ["dqn", &long].map(|name| width(&intervals(name).svg(View::Paper).unwrap()));
+        assert!(short == 720 && long > 720 - 210 + 60 * 7, "{short} {long}");
     }
 
     #[test]

@@ -759,6 +759,10 @@ fn profiles(output: &mut Output<'_>, overview: &Overview, names: &[&str]) -> Res
         let profile = overview.profiles.iter().find(|profile| profile.arm == *name);
         Line { name: (*name).into(), points: profile.map_or_else(Vec::new, |profile| profile.points.clone()) }
     };
+    // Without a solved run all of them are zero.
+    if !overview.profiles.iter().flat_map(|profile| &profile.points).any(|point| point.1 > 0.0) {
+        return Ok(());
+    }
     let lines: Vec<Line> = names.iter().map(of).collect();
     let counts: Vec<Vec<usize>> =
         lines.iter().map(|line| vec![overview.ratios.len(); line.points.len()]).collect();

@@ -1,7 +1,7 @@
 //! Lines with bands over two axes.
 
 use super::scale::{every, label};
-use super::{Area, Axis, GRID, INK, PAPER as GROUND, PlotError, View, color, dashes, svg, text, upward};
+use super::{Area, Axis, GRID, INK, PlotError, View, beyond, color, dashes, say_on_lines, svg, text, upward};
 use plotters::element::{PathElement, Polygon, Rectangle};
 use plotters::series::DashedLineSeries;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -67,7 +67,10 @@ impl Chart {
             View::Figure => &FIGURE,
             View::Page => &PAGE,
         };
-        svg(layout.size, |area| self.draw(area, layout))
+        let names = self.lines.iter().filter(|line| layout.legend && !line.points.is_empty());
+        let [width, height] = layout.size;
+        let more = beyond(names.map(|line| &line.name[..]), 12, width as i32 - layout.frame[2] - 50);
+        svg([width + more as u32, height], |area| self.draw(area, layout))
     }
 
     /// The pixel of (x, y).
@@ -133,12 +136,7 @@ impl Chart {
         for (at, name) in &self.rules {
             let y = self.pixel(layout, self.x.low, *at).1;
             let (place, beside) = if y < top + 16 { (VPos::Top, y + 3) } else { (VPos::Bottom, y - 3) };
-            let style = text(letters, HPos::Right, place);
-            // Paper around the letters, so that they can be read upon lines.
-            for (x, y) in [(-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (-1, 1), (1, -1), (1, 1)] {
-                say(name, style.clone().color(&GROUND), (right - 4 + x, beside + y))?;
-            }
-            say(name, style, (right - 4, beside))?;
+            say_on_lines(area, name, &text(letters, HPos::Right, place), (right - 4, beside))?;
         }
         let frame = Rectangle::new([(left, top), (right, bottom)], INK.stroke_width(1));
         area.draw(&frame).map_err(PlotError::draw)?;

@@ -1,7 +1,7 @@
 //! Values with their intervals, one below the other.
 
 use super::scale::{every, label};
-use super::{Area, Axis, GRID, INK, PlotError, View, color, svg, text};
+use super::{Area, Axis, GRID, INK, PlotError, View, beyond, color, say_on_lines, svg, text};
 use crate::stats::Estimate;
 use plotters::element::{Circle, PathElement, Rectangle};
 use plotters::style::text_anchor::{HPos, VPos};
@@ -70,7 +70,16 @@ impl Intervals {
             View::Page => &PAGE,
         };
         let height = layout.top + layout.row * self.rows.len() as i32 + 3 * layout.letters as i32 + 8;
-        svg([layout.width, height as u32], |area| self.draw(area, layout, height))
+        // Names that are longer than their column push the bars to the right.
+        let names = self.rows.iter().filter(|_| layout.beside).map(|row| &row.name[..]);
+        let more = beyond(names, layout.letters, layout.left - 16);
+        let layout = Layout {
+            width: layout.width + more as u32,
+            left: layout.left + more,
+            right: layout.right + more,
+            ..*layout
+        };
+        svg([layout.width, height as u32], |area| self.draw(area, &layout, height))
     }
 
     fn pixel(&self, layout: &Layout, x: f64) -> i32 {
@@ -112,7 +121,10 @@ impl Intervals {
             let Estimate { mid, low, high } = row.estimate;
             match layout.beside {
                 true => say(&row.name, text(letters, HPos::Right, VPos::Center), (left - 8, y))?,
-                false => say(&row.name, text(letters, HPos::Left, VPos::Top), (left + 6, begin + 4))?,
+                false => {
+                    let style = text(letters, HPos::Left, VPos::Top);
+                    say_on_lines(area, &row.name, &style, (left + 6, begin + 4))?
+                }
             }
             say(&row.note, text(letters, HPos::Left, VPos::Center), (right + 10, y))?;
             if low.is_finite() {
