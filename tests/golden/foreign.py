@@ -26,6 +26,14 @@ def d4rl(file, states=STATES):
     file["timeouts"] = ENDS
 
 
+def minari(file, number, first):
+    """An episode of one step from (first, first + 1)."""
+    group = file.create_group(f"episode_{number}")
+    group["observations"] = np.array([[first, first + 1], [first + 2, first + 3]], "f4")
+    group["terminations"] = np.array([True])
+    group["truncations"] = np.array([False])
+
+
 def links():
     for libver in ("earliest", "latest"):
         with hdf5(f"soft-link-needed-{libver}", libver=libver) as file:
@@ -40,10 +48,26 @@ def links():
             file["observations"] = h5py.ExternalLink("states.hdf5", "/observations")
             file["terminals"] = NEVER
             file["timeouts"] = ENDS
+        with hdf5(f"many-links-{libver}", libver=libver) as file:
+            kept = file.create_group("kept")
+            for i in range(5):
+                minari(kept, i, i)
+            for i in range(300):
+                path = f"kept/episode_{i % 5}"
+                file[f"episode_{i}"] = h5py.SoftLink(f"/{path}") if i % 100 == 50 else file[path]
+        with hdf5(f"external-episode-{libver}", libver=libver) as file:
+            minari(file, 0, 0)
+            minari(file, 1, 1)
+            file["episode_2"] = h5py.ExternalLink("others.hdf5", "/episode_2")
     with hdf5("soft-link-dangling") as file:
         d4rl(file)
         del file["observations"]
         file["observations"] = h5py.SoftLink("/nothing")
+    with hdf5("soft-link-loop", libver="latest") as file:
+        d4rl(file)
+        del file["observations"]
+        file["observations"] = h5py.SoftLink("/states")
+        file["states"] = h5py.SoftLink("observations")
     with hdf5("soft-link-to-group") as file:
         group = file.create_group("kept")
         for i in range(2):
@@ -67,6 +91,18 @@ def storage():
         d4rl(file, STATES.astype(">f2"))
     with hdf5("float64-big-endian") as file:
         d4rl(file, STATES.astype(">f8"))
+    with hdf5("enumeration") as file:
+        d4rl(file)
+        del file["timeouts"]
+        flags = h5py.enum_dtype({"NO": 0, "YES": 1}, basetype=">i4")
+        file.create_dataset("timeouts", data=ENDS.astype("i4"), dtype=flags)
+    with hdf5("records") as file:
+        fields = [("x", "f4"), ("y", "f8"), ("done", "?")]
+        file["log/steps"] = np.array([(x, y, end) for (x, y), end in zip(STATES, ENDS)], fields)
+    # Since HDF5 2.0, filtered chunks of the newest format are laid out in a way of their own.
+    with hdf5("newest-layout", libver="latest") as file:
+        file.create_dataset("observations", data=STATES, chunks=(2, 2), compression="gzip")
+        file["timeouts"] = ENDS
     with hdf5("virtual") as file:
         d4rl(file)
         file.move("observations", "parts")

@@ -124,6 +124,15 @@ impl Reader {
             return Err(damaged(&"dictionaries, which Minari does not write"));
         }
         let schema = guarded(|| fb_to_schema(schema)).ok_or_else(|| damaged(&"a schema that is none"))?;
+        if ["observations", "terminations"].iter().any(|name| schema.field_with_name(name).is_err()) {
+            let next = format!(
+                "`python3 -c 'import pandas; pandas.read_feather(\"{}\").to_csv(\"demo.csv\", index=False)'` makes CSV of it",
+                path.display()
+            );
+            return Err(
+                Place::of(path).foreign("a table in Arrow's format (Feather) that is not Minari's", next)
+            );
+        }
         // Other columns, actions and rewards among them, are skipped.
         let wanted = |i: &usize| ["observations", "terminations"].contains(&schema.field(*i).name().as_str());
         let wanted = (0..schema.fields().len()).filter(wanted).collect();

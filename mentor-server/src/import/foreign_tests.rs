@@ -56,12 +56,27 @@ fn valid_hdf5_is_read_however_it_is_stored() {
         "float16",
         "float16-big-endian",
         "float64-big-endian",
+        "enumeration",
         "soft-link-needed-earliest",
+        "soft-link-needed-latest",
         "external-link-earliest",
         "external-link-latest",
         "flat-episode_id",
     ] {
         assert_eq!(of(&format!("{name}.hdf5"), &Options::default()).0, two(), "{name}");
+    }
+    // Episodes in groups of both styles, some of them behind soft links: so many that a heap and a tree hold their names.
+    for name in ["many-links-earliest", "many-links-latest"] {
+        let (found, notes) = of(&format!("{name}.hdf5"), &Options::default());
+        assert!(found.len() == 300 && notes.is_empty(), "{name}: {} episodes", found.len());
+        for (i, (states, terminal)) in found.into_iter().enumerate() {
+            let first = (i % 5) as f32;
+            assert_eq!(
+                (states, terminal),
+                (vec![first, first + 1.0, first + 2.0, first + 3.0], true),
+                "{name}"
+            );
+        }
     }
     // Through a link to a group, one of whose own links leads back to it.
     assert_eq!(of("soft-link-to-group.hdf5", &keyed("joints")).0, two());
@@ -72,24 +87,39 @@ fn valid_hdf5_is_read_however_it_is_stored() {
 fn what_the_library_cannot_read_is_named_with_a_way_out() {
     for (name, words) in [
         ("virtual", &["virtual dataset", "h5py", "plain.hdf5"][..]),
+        (
+            "newest-layout",
+            &["part of HDF5 that is not known here (invalid data layout version: 5)", "h5py.File"],
+        ),
         ("external-storage", &["another file (external storage)"]),
         ("filter", &["compressed with Blosc (filter 32001)", "hdf5plugin"]),
         (
             "external-link-needed-earliest",
-            &["`observations` is a link to `/observations` in the file `states.hdf5`"],
+            &[
+                "`/observations` is a link to `/observations` in the file `states.hdf5`",
+                "h5py.File(\"plain.hdf5\"",
+            ],
         ),
         (
             "external-link-needed-latest",
-            &["`observations` is a link to `/observations` in the file `states.hdf5`"],
+            &[
+                "`/observations` is a link to `/observations` in the file `states.hdf5`",
+                "h5py.File(\"plain.hdf5\"",
+            ],
         ),
-        ("soft-link-needed-latest", &["`observations` is a soft link to `/kept`", "expand_soft=True"]),
-        ("soft-link-dangling", &["/observations is a soft link to `/nothing`, which is not in the file"]),
+        // Two episodes are there, but not all.
+        ("external-episode-earliest", &["`/episode_2` is a link to `/episode_2` in the file `others.hdf5`"]),
+        ("external-episode-latest", &["`/episode_2` is a link to `/episode_2` in the file `others.hdf5`"]),
+        ("soft-link-dangling", &["`/observations` is a soft link to `/nothing`, which is not in the file"]),
+        ("soft-link-loop", &["is a soft link that leads to itself"]),
         ("flat-without-flags", &["what ends an episode is missing", "--key takes all rows as one episode"]),
     ] {
         let message = refused(&format!("{name}.hdf5"), &Options::default());
         assert!(words.iter().all(|word| message.contains(word)), "{name}: {message}");
         assert!(!message.contains("damaged"), "{name}: {message}");
     }
+    let records = refused("records.hdf5", &keyed("log/steps"));
+    assert!(records.contains("records (compound{x: f32") && records.contains("[\"log/steps\"]"), "{records}");
     let (one, notes) = of("flat-without-flags.hdf5", &keyed("observations"));
     assert_eq!(one, [(numbers(0..12), false)]);
     assert_eq!(notes, ["no flags in the file: all rows are one episode"]);
@@ -135,7 +165,12 @@ fn other_layouts_are_known_or_reached_by_their_paths() {
     }
     let missing = refused("aloha.hdf5", &Options::default());
     assert!(missing.ends_with("accepted: a path, such as observations/qpos, observations/qvel"), "{missing}");
-    for key in ["agent/qpos", "traj_*/obs/agent/qpos"] {
+    // What is beside the observations, by its path in an episode.
+    for key in ["next_obs/joints", "data/demo_*/next_obs/joints"] {
+        let one = Options { episodes: Some("0".parse().unwrap()), ..keyed(key) };
+        assert_eq!(of("robomimic.hdf5", &one).0, [(numbers(2..8), false)], "{key}");
+    }
+    for key in ["agent/qpos", "obs/agent/qpos", "traj_*/obs/agent/qpos"] {
         assert_eq!(
             of("maniskill.hdf5", &keyed(key)).0,
             [(numbers(0..6), true), (numbers(6..12), false)],

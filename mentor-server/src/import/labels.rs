@@ -40,6 +40,17 @@ const EPISODE: &[&str] = &[
     "ep_idx",
     "rollout",
     "rollout_id",
+    "demo",
+    "demo_id",
+    "demo_index",
+    "trial",
+    "trial_id",
+    "trial_index",
+    "traj_idx",
+    "traj_index",
+    "trajectory_idx",
+    "sequence_id",
+    "run_id",
 ];
 const TERMINAL: &[&str] = &[
     "terminal",
@@ -62,6 +73,7 @@ const CUT_OFF: &[&str] = &[
     "is_timeout",
     "timed_out",
     "time_limit",
+    "time_limit_truncated",
     "timelimit_truncated",
     "next_truncated",
 ];
@@ -78,7 +90,19 @@ const END: &[&str] = &[
     "is_end",
     "is_last",
     "is_final",
+    "is_last_step",
+    "last_step",
     "eoe",
+    "end",
+    "ended",
+    "ep_done",
+    "episode_over",
+    "episode_ended",
+    "game_over",
+    "traj_end",
+    "traj_done",
+    "trajectory_end",
+    "trajectory_done",
 ];
 const FIRST: &[&str] = &[
     "is_first",
@@ -88,6 +112,11 @@ const FIRST: &[&str] = &[
     "ep_start",
     "is_start",
     "start_of_episode",
+    "is_first_step",
+    "new_episode",
+    "newepisode",
+    "is_reset",
+    "reset",
 ];
 const STEP: &[&str] = &[
     "t",
@@ -125,10 +154,18 @@ pub(super) fn is_no_state(name: &str) -> bool {
     NO_STATE.iter().any(|start| name.starts_with(start))
 }
 
-/// Lower case, words joined by `_`.
+/// Lower case, words joined by `_`: `isDone`, `is-done` and `IS DONE` are `is_done`.
 fn plain(name: &str) -> String {
-    let letters = name.trim().chars().map(|c| if c.is_alphanumeric() { c.to_ascii_lowercase() } else { '_' });
-    letters.collect::<String>().trim_matches('_').into()
+    let mut out = String::new();
+    let mut small = false;
+    for c in name.trim().chars() {
+        if small && c.is_uppercase() {
+            out.push('_');
+        }
+        small = c.is_lowercase();
+        out.push(if c.is_alphanumeric() { c.to_ascii_lowercase() } else { '_' });
+    }
+    out.trim_matches('_').into()
 }
 
 /// Names of flags that say how an episode ended, for messages.
@@ -253,8 +290,16 @@ impl Labels {
                 self.names[step]
             ),
             None => {
-                "no column says where episodes begin or end (such as `episode` or `done`): all rows are one"
-                    .into()
+                let unused = (0..self.names.len()).filter(|column| !self.state.contains(column));
+                let unused: Vec<&str> =
+                    unused.map(|column| self.names[column].as_str()).filter(|name| !name.is_empty()).collect();
+                let rest = match unused[..] {
+                    [] => String::new(),
+                    _ => format!("; not read: {}", list(&unused)),
+                };
+                format!(
+                    "no column says where episodes begin or end (such as `episode` or `done`): all rows are one{rest}"
+                )
             }
         });
     }
@@ -394,8 +439,9 @@ impl Labels {
                 Some(0.0) => false,
                 Some(1.0) => true,
                 _ => match row.text(column).to_lowercase().as_str() {
-                    "false" | "f" | "no" => false,
-                    "true" | "t" | "yes" => true,
+                    // Many logs have a mark in the last row alone.
+                    "" | "false" | "f" | "no" | "n" => false,
+                    "true" | "t" | "yes" | "y" => true,
                     other => {
                         let place = sink.place().row(at);
                         return Err(place.refuse(
@@ -426,6 +472,9 @@ mod tests {
             ("Episode ID", Some(Role::Episode)),
             ("is_first", Some(Role::First)),
             ("frame_index", Some(Role::Step)),
+            ("EpisodeID", Some(Role::Episode)),
+            ("isDone", Some(Role::End)),
+            ("game over", Some(Role::End)),
             ("x", None),
             ("endurance", None),
         ] {

@@ -34,7 +34,7 @@ pub(super) fn read(
     let array = Array::open(BufReader::with_capacity(WINDOW_BYTES as usize, file), bytes, &place)?;
     match array.kind {
         Kind::Numbers(_) => array.episodes()?.read(&place, sink)?,
-        Kind::Records(_) => return array.records(options, sink),
+        Kind::Records(..) => return array.records(options, sink),
     }
     if sink.ends_recorded() {
         sink.note("NPY does not say how an episode ended: no last state is taken as terminal".into());
@@ -85,7 +85,7 @@ pub(super) struct Array<R> {
 
 enum Kind {
     Numbers(Element),
-    Records(Vec<Field>),
+    Records(Vec<Field>, usize),
 }
 
 /// A number of a record.
@@ -122,7 +122,7 @@ impl<R: Read> Array<R> {
         }
         let size = match &kind {
             Kind::Numbers(element) => element.size as u64,
-            Kind::Records(fields) => fields.iter().map(|field| field.element.size as u64).sum(),
+            Kind::Records(_, bytes) => *bytes as u64,
         };
         let expected = shape.iter().try_fold(size, |a, &b| a.checked_mul(b));
         if expected.and_then(|data| data.checked_add(start)) != Some(bytes) {
@@ -168,7 +168,7 @@ impl<R: Read> Array<R> {
     fn row_bytes(&self) -> usize {
         match &self.kind {
             Kind::Numbers(element) => self.width.saturating_mul(element.size),
-            Kind::Records(fields) => fields.iter().map(|field| field.element.size).sum(),
+            Kind::Records(_, bytes) => *bytes,
         }
     }
 
@@ -190,7 +190,7 @@ impl<R: Read> Array<R> {
 
     /// Reads records as rows of a table, whose columns are their fields.
     fn records(mut self, options: &Options, sink: &mut Sink<'_>) -> Result<(), ImportError> {
-        let Kind::Records(fields) = &self.kind else { return Ok(()) };
+        let Kind::Records(fields, _) = &self.kind else { return Ok(()) };
         let fields = fields.clone();
         let names: Vec<String> = fields.iter().map(|field| field.name.clone()).collect();
         let rows = self.shape.iter().product::<u64>();
@@ -323,15 +323,15 @@ fn kind(header: &str, place: &Place) -> Result<Kind, ImportError> {
         let fields = fields(rest, place)?;
         let accepted = "named numbers, as in dtype([(\"x\", \"f4\"), (\"y\", \"f4\"), (\"done\", \"?\")])";
         return fields
-            .map(Kind::Records)
+            .map(|(fields, bytes)| Kind::Records(fields, bytes))
             .ok_or_else(|| place.clone().refuse("the type of the records", rest.trim(), accepted));
     }
     let text = quoted(rest).map_or("", |(text, _)| text);
     element(text, place).map(Kind::Numbers)
 }
 
-/// The fields of a record type; those of several numbers become as many.
-fn fields(text: &str, place: &Place) -> Result<Option<Vec<Field>>, ImportError> {
+/// The fields of a record type, those of several numbers as so many, and the bytes of a record.
+fn fields(text: &str, place: &Place) -> Result<Option<(Vec<Field>, usize)>, ImportError> {
     let mut rest = text.trim_start_matches('[').trim_start();
     let (mut out, mut at) = (Vec::new(), 0);
     let part = |rest: &mut &str| -> Option<(String, String, Vec<u64>)> {
@@ -345,6 +345,15 @@ fn fields(text: &str, place: &Place) -> Result<Option<Vec<Field>>, ImportError> 
     };
     while !rest.starts_with(']') {
         let Some((name, kind, shape)) = part(&mut rest) else { return Ok(None) };
+        // Bytes between fields, so that these lie where the processor likes them.
+        if let ("", Some(bytes)) = (name.as_str(), kind.strip_prefix("|V")) {
+            let bytes: usize = match bytes.parse() {
+                Ok(bytes) if bytes <= MAX_HEADER => bytes,
+                _ => return Ok(None),
+            };
+            at += bytes;
+            continue;
+        }
         let element = element(&kind, place)?;
         let count = shape
             .iter()
@@ -360,7 +369,7 @@ fn fields(text: &str, place: &Place) -> Result<Option<Vec<Field>>, ImportError> 
             return Ok(None);
         }
     }
-    Ok((!out.is_empty()).then_some(out))
+    Ok((!out.is_empty()).then_some((out, at)))
 }
 
 /// How a number is stored, or a refusal of what is none.
@@ -480,10 +489,17 @@ mod tests {
     fn records_have_named_fields() {
         let place = Place::of(Path::new("a.npy"));
         let text = "[('x', '<f4'), ('v', '>f8', (2,)), ('done', '|b1')], 'fortran_order': False";
-        let found = fields(text, &place).unwrap().unwrap();
+        let (found, bytes) = fields(text, &place).unwrap().unwrap();
         let found: Vec<_> =
             found.iter().map(|field| (field.name.as_str(), field.element.size, field.at)).collect();
         assert_eq!(found, [("x", 4, 0), ("v_0", 8, 4), ("v_1", 8, 12), ("done", 1, 20)]);
+        assert_eq!(bytes, 21);
+        // As NumPy writes an aligned type: bytes without a name between the fields and at the end.
+        let text =
+            "[('b', '|b1'), ('', '|V7'), ('x', '<f8'), ('n', '<i4'), ('', '|V4')], 'fortran_order': False";
+        let (found, bytes) = fields(text, &place).unwrap().unwrap();
+        let places: Vec<usize> = found.iter().map(|field| field.at).collect();
+        assert_eq!((places, bytes), (vec![0, 8, 16], 24));
         for bad in ["[]", "[('x',)]", "[('x', [('y', '<f4')])]", "[(('title', 'x'), '<f4')]", "[('x', '<f4'"]
         {
             assert_eq!(fields(bad, &place).unwrap(), None, "{bad}");

@@ -132,6 +132,12 @@ fn of(start: &[u8], path: &Path) -> Kind {
     if let Some((_, what, next)) = MAGIC.iter().find(|(magic, _, _)| start.starts_with(magic)) {
         return foreign(what, next);
     }
+    // The stream format of Arrow: a message's mark, and its length.
+    if start.starts_with(&[0xff; 4]) && start.get(6..8) == Some(&[0, 0]) {
+        let next = "`python3 -c 'import pyarrow as a; a.ipc.open_stream(\"{}\").read_pandas().to_csv(\"demo.csv\", index=False)'` makes \
+                    CSV of it";
+        return foreign("an Arrow stream", next);
+    }
     // A pickle of protocol 2 to 5.
     if matches!(start, [0x80, 2..=5, ..]) {
         let next = "it can run code when it is loaded, so load it only if you trust it, and store its states with \
@@ -170,6 +176,9 @@ fn gzip(start: &[u8], path: &Path, foreign: &impl Fn(&'static str, &str) -> Kind
     if inside.starts_with(HDF5) {
         return foreign("HDF5 that is compressed as a whole with gzip", unpack);
     }
+    if inside.starts_with(&[0x1f, 0x8b]) {
+        return foreign("compressed twice with gzip", unpack);
+    }
     match of(&inside, path) {
         Kind::Npy | Kind::Npz | Kind::Arrow => foreign("compressed as a whole with gzip", unpack),
         Kind::Foreign(Foreign { what: "a tar archive", .. }) => {
@@ -192,22 +201,19 @@ fn textual(start: &[u8]) -> Option<(&'static str, &'static str)> {
     }
     let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
     let begins = |prefix: &[u8]| text.get(..prefix.len()).is_some_and(|own| own.eq_ignore_ascii_case(prefix));
-    if begins(b"<!doctype html") || begins(b"<html") || begins(b"<head") {
+    let html = begins(b"<!doctype html") || begins(b"<html") || begins(b"<head");
+    if html || (begins(b"<!--") && text.to_ascii_lowercase().windows(5).any(|part| part == b"<html")) {
         let next = "a page was downloaded in the data's place (a login, an error, a view of the file); download the raw file";
         return Some(("an HTML page, not the data", next));
     }
     if begins(b"<") {
         return Some(("XML", "export the table of states as CSV"));
     }
-    if begins(b"{") {
-        let next = "`python3 -c 'import pandas; pandas.read_json(\"{}\", lines=True).to_csv(\"demo.csv\", index=False)'` \
-                    makes CSV of one object a line";
+    if let Some(next) = json(text) {
         return Some(("JSON", next));
     }
-    if begins(b"[") {
-        let next = "`python3 -c 'import json, numpy; numpy.save(\"demo.npy\", numpy.array(json.load(open(\"{}\")), \"f4\"))'` \
-                    makes NPY of lists of equal length";
-        return Some(("JSON", next));
+    if text.starts_with(b"../") && text.windows(20).any(|part| part == b"/.git/annex/objects/") {
+        return Some(("a git-annex pointer, not the data", "`git annex get {}` fetches them"));
     }
     if begins(b"@relation") {
         return Some((
@@ -216,6 +222,38 @@ fn textual(start: &[u8]) -> Option<(&'static str, &'static str)> {
         ));
     }
     None
+}
+
+/// How to make something else of text that begins as JSON does; none of other text.
+fn json(text: &[u8]) -> Option<&'static str> {
+    const LINES: &str = "`python3 -c 'import pandas; pandas.read_json(\"{}\", lines=True).to_csv(\"demo.csv\", index=False)'` \
+        makes CSV of one object a line";
+    const TABLE: &str = "`python3 -c 'import pandas; pandas.read_json(\"{}\").to_csv(\"demo.csv\", index=False)'` makes CSV of a \
+        table";
+    const ROWS: &str = "`python3 -c 'import pandas; pandas.read_json(\"{}\", lines=True).to_csv(\"demo.csv\", index=False, \
+        header=False)'` makes CSV of one list a line";
+    const LISTS: &str = "`python3 -c 'import json, numpy; numpy.save(\"demo.npy\", numpy.array(json.load(open(\"{}\")), \"f4\"))'` \
+        makes NPY of lists of equal length";
+    const ONE: &str = "`python3 -c 'import json, numpy; numpy.save(\"demo.npy\", \
+        numpy.array(json.load(open(\"{}\"))[\"NAME\"], \"f4\"))'` makes NPY of the lists of equal length that are called NAME";
+    let inside = text.get(1..)?.trim_ascii_start();
+    let ended = |end: &[u8]| text.windows(end.len()).any(|part| part == end);
+    match (text[0], *inside.first()?) {
+        // Behind the first name is a list, or another object.
+        (b'{', b'"') if !ended(b"}\n{") && !ended(b"}\r\n{") => {
+            let value = inside.split(|&byte| byte == b':').nth(1).map(<[u8]>::trim_ascii_start);
+            Some(match value.and_then(<[u8]>::first) {
+                Some(b'{') => TABLE,
+                Some(b'[') => ONE,
+                _ => LINES,
+            })
+        }
+        (b'{', _) => Some(LINES),
+        (b'[', b'{') => Some(TABLE),
+        (b'[', _) if ended(b"]\n[") || ended(b"]\r\n[") => Some(ROWS),
+        (b'[', b'[' | b']' | b'"' | b'-' | b'0'..=b'9') => Some(LISTS),
+        _ => None,
+    }
 }
 
 /// Whether these bytes are UTF-16 without a mark: in ASCII, which tables mostly are, every second byte is 0 then.
@@ -256,6 +294,7 @@ mod tests {
         assert_eq!(kind_of(b"ARROW1\0\0"), Kind::Arrow);
         for text in [
             &b"x,y\n1,2\n"[..],
+            b"[section]\nx = 1\n",
             b"\xef\xbb\xbfx\n1\n",
             b"\xff\xfex\0\n\0",
             b"x\0\n\x001\0\n\0",
@@ -280,6 +319,14 @@ mod tests {
             (b"\n<!DOCTYPE HTML><title>Sign in", "an HTML page, not the data: a page was downloaded"),
             (b"[[0, 1], [1, 1]]", "JSON: `python3"),
             (b"\xef\xbb\xbf {\"x\": 1}", "JSON: `python3"),
+            (b"[[0,1]\n,[1,1]]\n", "JSON: `python3 -c 'import json, numpy"),
+            (b"[0,1]\n[1,1]\n", "JSON: `python3 -c 'import pandas; pandas.read_json(\""),
+            (b"[ {\"x\": 1}]", "JSON: `python3 -c 'import pandas"),
+            (b"{\"obs\": [[0, 1]]}", "JSON: `python3 -c 'import json, numpy"),
+            (b"{\"x\": {\"0\": 1}}", "JSON: `python3 -c 'import pandas"),
+            (b"../../.git/annex/objects/a/b/c", "a git-annex pointer"),
+            (b"<!-- saved -->\n<html>", "an HTML page"),
+            (b"\xff\xff\xff\xff\xd0\x00\x00\x00\x10", "an Arrow stream"),
             (b"\x80\x04\x95", "a Python pickle: "),
             (b"\0\0\0\0", "neither text"),
             (b"SQLite format 3\0", "an SQLite database"),
@@ -301,6 +348,7 @@ mod tests {
         assert!(foreign_of(&packed(b"\x93NUMPY\x01\x00")).contains("gunzip -k"));
         assert!(foreign_of(&packed(HDF5)).starts_with("HDF5 that is compressed"));
         assert!(foreign_of(&packed(b"[1]")).starts_with("JSON"));
+        assert!(foreign_of(&packed(&packed(b"x\n1\n"))).starts_with("compressed twice"));
         let mut tar = vec![b'a'; 512];
         tar[257..262].copy_from_slice(b"ustar");
         assert!(foreign_of(&packed(&tar)).contains("tar xzf"));

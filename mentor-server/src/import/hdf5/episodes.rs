@@ -3,9 +3,9 @@
 //! With T + 1 observations the last one is the state in which the episode ended. With T that state is known only where a dataset
 //! of next observations has it; otherwise the last state that is there is one step earlier and has a value like any other.
 
+use super::Source;
 use super::layout::{Episodes, join};
 use super::table::Table;
-use super::{Source, layout};
 use crate::import::error::{ImportError, Place};
 use crate::import::labels::{Role, role};
 use crate::import::metadata::last_alone;
@@ -66,7 +66,7 @@ fn episode(
 ) -> Result<bool, ImportError> {
     let place = sink.place();
     let path = join(group, &episodes.dataset);
-    let mut table = Table::new(&source.path, source.dataset(&path)?, &place, "observations")?;
+    let mut table = Table::new(source, &path, &place, "observations")?;
     let flags = if episodes.minari {
         minari_flags(source, group, &place)?
     } else if episodes.dataset.is_empty() {
@@ -86,7 +86,7 @@ fn episode(
     };
     let mut next = match successors(&episodes.dataset) {
         Some(name) if !whole => match source.dataset_if_any(&join(group, &name))? {
-            Some(dataset) => Some(Table::new(&source.path, dataset, &place, "next observations")?),
+            Some(_) => Some(Table::new(source, &join(group, &name), &place, "next observations")?),
             None => None,
         },
         _ => None,
@@ -130,9 +130,11 @@ fn successors(path: &str) -> Option<String> {
 /// Both flags must be there, and only the last step's may be set.
 fn minari_flags(source: &Source, group: &str, place: &Place) -> Result<Flags, ImportError> {
     let flags = |name: &str| {
-        let dataset = source.dataset_if_any(&layout::join(group, name))?;
-        let missing = || place.clone().refuse(format!("dataset {name}"), "missing", "one flag a step");
-        Table::new(&source.path, dataset.ok_or_else(missing)?, place, name)?.all_flags(place, name)
+        let at = join(group, name);
+        if source.dataset_if_any(&at)?.is_none() {
+            return Err(place.clone().refuse(format!("dataset {name}"), "missing", "one flag a step"));
+        }
+        Table::new(source, &at, place, name)?.all_flags(place, name)
     };
     let (terminations, truncations) = (flags(TERMINATIONS)?, flags(TRUNCATIONS)?);
     if truncations.len() != terminations.len() {
@@ -147,10 +149,10 @@ fn minari_flags(source: &Source, group: &str, place: &Place) -> Result<Flags, Im
 fn any_flags(source: &Source, group: &str, place: &Place) -> Result<Flags, ImportError> {
     let mut out = Flags::default();
     let (mut terminal, mut cut_off, mut end) = (None, None, None);
+    source.refuse_unread(group, |name| role(name).is_some())?;
     for name in source.children(group)?.0 {
         let Some(kind @ (Role::Terminal | Role::CutOff | Role::End)) = role(&name) else { continue };
-        let dataset = source.dataset(&join(group, &name))?;
-        let flags = Table::new(&source.path, dataset, place, &name)?.all_flags(place, &name)?;
+        let flags = Table::new(source, &join(group, &name), place, &name)?.all_flags(place, &name)?;
         let steps = flags.len() as u64;
         if out.steps.is_some_and(|others| others != steps) {
             let accepted = out.steps.unwrap_or_default();

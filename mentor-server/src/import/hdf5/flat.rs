@@ -21,11 +21,12 @@ pub(super) fn read(
     sink: &mut Sink<'_>,
 ) -> Result<(), ImportError> {
     let place = source.place();
-    let table = |path: &str, what: &str| Table::new(&source.path, source.dataset(path)?, &place, what);
+    let table = |path: &str, what: &str| Table::new(source, path, &place, what);
     let states = table(path, "observations")?;
     let (mut group, _) = path.rsplit_once('/').unwrap_or(("", path));
     let mut marks: Vec<(String, Role, Box<dyn Rows>)> = Vec::new();
     loop {
+        source.refuse_unread(group, |name| role(name).is_some())?;
         for name in source.children(group)?.0 {
             let own = join(group, &name);
             match role(&name) {

@@ -8,7 +8,8 @@
 //! | D4RL | `observations` | flags beside it |
 //! | any other | `--key` with the path; `*` in it stands for the episodes | the group, or flags beside the dataset |
 
-use super::{Source, damaged};
+use super::links::Found;
+use super::{Source, unreadable};
 use crate::import::error::{ImportError, list};
 use crate::import::labels::{is_no_state, role};
 use crate::import::names::{matches, sorted};
@@ -68,7 +69,9 @@ pub(super) fn choose(source: &Source, options: &Options) -> Result<(&'static str
             above if groups.iter().any(|group| group == above) => source.children(above)?.1,
             _ => continue,
         };
-        let matching: Vec<String> = names.into_iter().filter(|name| number(name, prefix).is_some()).collect();
+        let of_episode = |name: &str| number(name, prefix).is_some();
+        source.refuse_unread(above, of_episode)?;
+        let matching: Vec<String> = names.into_iter().filter(|name| of_episode(name)).collect();
         if matching.is_empty() {
             continue;
         }
@@ -86,7 +89,7 @@ pub(super) fn choose(source: &Source, options: &Options) -> Result<(&'static str
         (_, key) => {
             // A link in the place of the observations has the first word.
             if key.is_none() {
-                FLAT.iter().try_for_each(|name| source.link(name).map_or(Ok(()), Err))?;
+                source.refuse_unread("", |name| FLAT.contains(&name))?;
             }
             let value =
                 key.map_or("missing, and the layout is not a known one".into(), |key| format!("`{key}`"));
@@ -100,11 +103,23 @@ pub(super) fn choose(source: &Source, options: &Options) -> Result<(&'static str
 }
 
 impl Source {
-    /// The names of datasets and groups in the group at `path`.
+    /// The names of datasets and groups in the group at `path`, those of soft links included.
     pub(super) fn children(&self, path: &str) -> Result<(Vec<String>, Vec<String>), ImportError> {
         let group = self.group(path)?;
-        let mut datasets = group.datasets().map_err(damaged(&self.path))?;
-        let mut groups = group.groups().map_err(damaged(&self.path))?;
+        let mut datasets = group.datasets().map_err(unreadable(&self.path))?;
+        let mut groups = group.groups().map_err(unreadable(&self.path))?;
+        for name in self.finder.linked(path) {
+            // One of the old style is a hard link by now.
+            if datasets.contains(&name) || groups.contains(&name) {
+                continue;
+            }
+            let Found::Object(real, _) = self.finder.find(&join(path, &name)) else { continue };
+            if self.file.dataset(&real).is_ok() {
+                datasets.push(name);
+            } else if self.group(&real).is_ok() {
+                groups.push(name);
+            }
+        }
         datasets.sort();
         groups.sort();
         Ok((datasets, groups))
@@ -147,6 +162,7 @@ impl Source {
             let mut next = Vec::new();
             for path in paths {
                 let Ok((datasets, groups)) = self.children(&path) else { continue };
+                self.refuse_unread(&path, |name| matches(part, name))?;
                 // Where nothing follows, the datasets themselves are episodes.
                 let names = if i + 1 == parts.len() { datasets } else { groups };
                 let matching = names.into_iter().filter(|name| matches(part, name)).collect();
@@ -166,6 +182,12 @@ impl Source {
     fn observations(&self, group: &str, name: &str, key: Option<&str>) -> Result<String, ImportError> {
         let place = || self.place().episode(0);
         let top = join(group, name);
+        // What is beside the observations: `env_states/actors/cube`, `states`.
+        if let Some(key) = key
+            && self.dataset_if_any(&join(group, key))?.is_some()
+        {
+            return Ok(key.into());
+        }
         if self.dataset_if_any(&top)?.is_some() {
             return match key {
                 None => Ok(name.into()),
@@ -176,9 +198,7 @@ impl Source {
             };
         }
         if self.children(group)?.1.iter().all(|own| own != name) {
-            return Err(self
-                .link(&top)
-                .unwrap_or_else(|| place().refuse(name, "missing", "a dataset, or a group of datasets")));
+            return Err(place().refuse(name, "missing", "a dataset, or a group of datasets"));
         }
         let missing = |path: &str, value: String| -> ImportError {
             let names = self.children(path).map(|(datasets, groups)| sorted([datasets, groups].concat()));
@@ -217,7 +237,8 @@ impl Source {
                 break;
             }
             for name in datasets {
-                let numbers = self.file.dataset(&join(&path, &name)).is_ok_and(|dataset| {
+                let dataset = self.dataset_if_any(&join(&path, &name)).ok().flatten();
+                let numbers = dataset.is_some_and(|dataset| {
                     let kind = dataset.dtype().is_ok_and(|kind| {
                         !matches!(kind, DType::String | DType::VariableLengthString | DType::Compound(_))
                     });

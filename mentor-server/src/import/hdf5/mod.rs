@@ -1,9 +1,11 @@
 //! HDF5: which of its layouts a file has, and tables of numbers and flags, read window by window.
 
+mod dense;
 mod episodes;
 mod flat;
 mod layout;
 mod links;
+mod objects;
 mod source;
 mod table;
 
@@ -11,20 +13,18 @@ use super::Options;
 use super::error::{ImportError, Place};
 use super::sink::Sink;
 use hdf5_pure::{Dataset, Error, FormatError, Group};
-use layout::{Choice, choose};
+use layout::{Choice, choose, join};
+use links::{Finder, Found};
 pub(super) use source::signature;
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-/// An open file, and what it calls things that are not there.
+/// An open file, and where its links lead.
 struct Source {
     path: PathBuf,
     file: hdf5_pure::File,
-    /// Soft links of the old style that lead nowhere.
-    dangling: Vec<(String, String)>,
-    /// To look for links in.
-    bytes: File,
+    finder: Finder,
 }
 
 /// Reads the episodes that are wanted into `sink`; says whose layout it is.
@@ -47,7 +47,7 @@ pub(super) fn read(
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| {
         Err(ImportError::Io {
             path: path.into(),
-            message: "cannot be read as HDF5, it may be damaged".into(),
+            message: format!("cannot be read as HDF5; where h5py can read it, {}", copied(path, "")),
         })
     })
 }
@@ -59,15 +59,19 @@ impl Source {
 
     /// The dataset at `path`, or why there is none.
     fn dataset(&self, path: &str) -> Result<Dataset, ImportError> {
-        self.file.dataset(path).map_err(|error| self.missing(path, error))
+        self.dataset_if_any(path)?.ok_or_else(|| self.missing(path))
     }
 
     /// The dataset at `path`, if there is one.
     fn dataset_if_any(&self, path: &str) -> Result<Option<Dataset>, ImportError> {
-        match self.file.dataset(path) {
+        let found = |dataset: Result<Dataset, Error>| match dataset {
             Ok(dataset) => Ok(Some(dataset)),
-            Err(error) if is_missing(&error) => self.link(path).map_or(Ok(None), Err),
-            Err(error) => Err(damaged(&self.path)(error)),
+            Err(error) if is_missing(&error) => Ok(None),
+            Err(error) => Err(unreadable(&self.path)(error)),
+        };
+        match found(self.file.dataset(path))? {
+            Some(dataset) => Ok(Some(dataset)),
+            None => self.elsewhere(path)?.map_or(Ok(None), |real| found(self.file.dataset(&real))),
         }
     }
 
@@ -76,35 +80,42 @@ impl Source {
         if path.is_empty() {
             return Ok(self.file.root());
         }
-        self.file.group(path).map_err(|error| self.missing(path, error))
+        match self.file.group(path) {
+            Ok(group) => Ok(group),
+            Err(error) if !is_missing(&error) => Err(unreadable(&self.path)(error)),
+            Err(_) => {
+                let real = self.elsewhere(path)?.ok_or_else(|| self.missing(path))?;
+                self.file.group(&real).map_err(|_| self.missing(path))
+            }
+        }
     }
 
-    /// Why there is nothing at `path`: a link that is not followed, or that it is missing.
-    fn missing(&self, path: &str, error: Error) -> ImportError {
-        if !is_missing(&error) {
-            return damaged(&self.path)(error);
-        }
-        self.link(path)
-            .unwrap_or_else(|| self.place().refuse(path, "missing", "a dataset, or a group of them"))
+    fn missing(&self, path: &str) -> ImportError {
+        self.place().refuse(path, "missing", "a dataset, or a group of them")
     }
 
-    /// That a part of `path` is a link that is not followed, if it is one.
-    fn link(&self, path: &str) -> Option<ImportError> {
-        let wanted = format!("/{}", path.trim_matches('/'));
-        let dead =
-            self.dangling.iter().find(|(own, _)| wanted == *own || wanted.starts_with(&format!("{own}/")));
-        if let Some((own, target)) = dead {
-            let value = format!("a soft link to `{target}`, which is not in the file");
-            return Some(self.place().refuse(own, value, "a link to something in it"));
+    /// The path without soft links of what is at `path`, where the library finds nothing; none where nothing is there.
+    ///
+    /// # Errors
+    /// A link that leads to another file, or nowhere.
+    fn elsewhere(&self, path: &str) -> Result<Option<String>, ImportError> {
+        match self.finder.find(path) {
+            Found::Object(real, _) => Ok(Some(real).filter(|real| real != path.trim_matches('/'))),
+            Found::Nothing => Ok(None),
+            Found::Unread(own, what) => Err(self.unread(&own, what)),
         }
-        let linked = |name: &str| Some((name.to_string(), links::link_named(&self.bytes, name).ok()??));
-        let (name, what) = path.split('/').filter(|part| !part.is_empty()).find_map(linked)?;
-        let next = format!(
-            "`python3 -c 'import h5py; a = h5py.File(\"{}\"); b = h5py.File(\"whole.hdf5\", \"w\"); [a.copy(a[k], b, k, \
-             expand_soft=True, expand_external=True) for k in a if k in a]'` makes a file without links",
-            self.path.display()
-        );
-        Some(self.place().foreign(format!("a file in which `{name}` is {what}"), next))
+    }
+
+    fn unread(&self, own: &str, what: String) -> ImportError {
+        self.place().foreign(format!("a file in which `{own}` is {what}"), copied(&self.path, ""))
+    }
+
+    /// Refuses links of the group at `path` that lead nowhere that is read, if `wanted` wants what is called so.
+    fn refuse_unread(&self, path: &str, wanted: impl Fn(&str) -> bool) -> Result<(), ImportError> {
+        for name in self.finder.linked(path).into_iter().filter(|name| wanted(name)) {
+            self.elsewhere(&join(path, &name))?;
+        }
+        Ok(())
     }
 }
 
@@ -112,11 +123,47 @@ fn is_missing(error: &Error) -> bool {
     matches!(error, Error::Format(FormatError::PathNotFound(_)) | Error::NotADataset(_) | Error::NotAGroup(_))
 }
 
-/// What the library says of a file that it cannot read, with a hint: most such files are cut off.
-fn damaged(path: &Path) -> impl Fn(Error) -> ImportError {
+/// What the library says of a file that it cannot read.
+fn unreadable(path: &Path) -> impl Fn(Error) -> ImportError {
     let path = path.to_path_buf();
-    move |error| ImportError::Io {
-        path: path.clone(),
-        message: format!("cannot be read as HDF5, it may be cut off or damaged: {error}"),
+    move |error| match error {
+        Error::Format(error) if is_newer(&error) => {
+            let kind = format!("a file with a part of HDF5 that is not known here ({error})");
+            Place::of(&path).foreign(kind, copied(&path, ""))
+        }
+        error => ImportError::Io {
+            path: path.clone(),
+            message: format!(
+                "cannot be read as HDF5 ({error}): it is cut off or damaged, or has a part that is not known here; where h5py can \
+                 read it, {}",
+                copied(&path, "")
+            ),
+        },
     }
+}
+
+/// Whether the library has met something sound that it does not know: newer than it, or rare.
+fn is_newer(error: &FormatError) -> bool {
+    use FormatError as E;
+    matches!(
+        error,
+        E::UnsupportedVersion(_)
+            | E::UnsupportedMessage(_)
+            | E::InvalidLayoutVersion(5..=9)
+            | E::UnsupportedFilteredHeapObject
+            | E::UnsupportedSohmReference
+            | E::UnsupportedFillValueVersion(_)
+            | E::NestingDepthExceeded
+    )
+}
+
+/// A command that makes a plain file of all that h5py reads in the one at `path`, links followed; `import`: further modules that
+/// it needs.
+fn copied(path: &Path, import: &str) -> String {
+    format!(
+        "`python3 -c 'import h5py{import}; copy = lambda a, b: [copy(v, b.create_group(k)) if isinstance(v, h5py.Group) else \
+         b.create_dataset(k, data=v[()]) for k, v in a.items() if v is not None]; copy(h5py.File(\"{}\"), \
+         h5py.File(\"plain.hdf5\", \"w\"))'` makes a file that is read",
+        path.display()
+    )
 }

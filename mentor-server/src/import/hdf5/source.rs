@@ -1,7 +1,7 @@
-//! An HDF5 file for the library: opened already, looked at, its soft links made hard.
+//! An HDF5 file for the library: opened already, looked at, its soft links of the old style made hard.
 
-use super::links::{Links, soft_links};
-use super::{Source, damaged};
+use super::links::{Finder, hardened};
+use super::{Source, unreadable};
 use crate::import::error::{ImportError, Place};
 use hdf5_pure::FormatError;
 use std::collections::BTreeMap;
@@ -74,11 +74,11 @@ pub(super) fn open(path: &Path, file: File) -> Result<Source, ImportError> {
         let accepted = format!("{end}, as it says itself; it is cut off");
         return Err(Place::of(path).refuse("the file's length", format!("{length} bytes"), accepted));
     }
-    let Links { patches, dangling } = soft_links(&file, base);
-    let bytes = file.try_clone().map_err(io)?;
+    let finder = Finder::new(file.try_clone().map_err(io)?, base);
+    let patches = hardened(&file, &finder);
     let patched = Patched { file, length, patches };
-    let file = hdf5_pure::File::from_source(patched).map_err(damaged(path))?;
-    Ok(Source { path: path.into(), file, dangling, bytes })
+    let file = hdf5_pure::File::from_source(patched).map_err(unreadable(path))?;
+    Ok(Source { path: path.into(), file, finder })
 }
 
 /// Where the file should end according to its superblock (HDF5 file format, II.A). The library does not look: a file

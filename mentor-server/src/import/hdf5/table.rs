@@ -1,6 +1,6 @@
 //! Datasets as tables of numbers.
 
-use super::damaged;
+use super::{Source, copied, unreadable};
 use crate::import::error::{ImportError, Place};
 use crate::import::rows::{self, Rows};
 use half::{bf16, f16};
@@ -32,8 +32,8 @@ const READ: [u16; 5] = [1, 2, 3, 6, 32000];
 enum Element {
     /// As the library reads it.
     Plain,
-    /// A byte of an enumeration, as h5py stores booleans.
-    Byte,
+    /// A number of an enumeration of so many bytes, as h5py stores booleans.
+    Enum { bytes: usize, big_endian: bool },
     /// 16 bits of floating point: IEEE's, or else bfloat16; big-endian or not.
     Half { ieee: bool, big_endian: bool },
 }
@@ -49,36 +49,48 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// `place` and `what` are for messages.
-    pub(super) fn new(path: &Path, dataset: Dataset, place: &Place, what: &str) -> Result<Self, ImportError> {
+    /// The dataset at `at`; `place` and `what` are for messages.
+    pub(super) fn new(source: &Source, at: &str, place: &Place, what: &str) -> Result<Self, ImportError> {
+        let (path, dataset) = (source.path.as_path(), source.dataset(at)?);
         readable(&dataset, path, place, what)?;
-        let dtype = dataset.dtype().map_err(damaged(path))?;
+        let dtype = dataset.dtype().map_err(unreadable(path))?;
         let of_half = match &dtype {
             DType::Other(other) => half(other),
             _ => None,
         };
         let (bytes, element) = match (&dtype, of_half) {
             (_, Some(half)) => (2, half),
-            (DType::Enum(_), _) => (1, Element::Byte),
+            (DType::Enum(_), _) => {
+                let bytes = dataset.element_size().map_err(unreadable(path))?;
+                let big_endian = dataset.datatype().is_ok_and(|kind| is_big_endian(&kind));
+                (bytes, Element::Enum { bytes: bytes.clamp(1, 8) as usize, big_endian })
+            }
             (DType::I8 | DType::U8, _) => (1, Element::Plain),
             (DType::I16 | DType::U16, _) => (2, Element::Plain),
             (DType::F32 | DType::I32 | DType::U32, _) => (4, Element::Plain),
             (DType::F64 | DType::I64 | DType::U64, _) => (8, Element::Plain),
+            (DType::Compound(_), _) => {
+                let next = format!(
+                    "`python3 -c 'import h5py, numpy; numpy.save(\"demo.npy\", h5py.File(\"{}\")[\"{at}\"][()])'` makes NPY \
+                     of them, whose fields --columns chooses",
+                    path.display()
+                );
+                return Err(place
+                    .clone()
+                    .foreign(format!("a file whose {what} are records ({dtype})"), next));
+            }
             (other, _) => {
-                return Err(place.clone().refuse(
-                    format!("the type of {what}"),
-                    other,
-                    "numbers of up to 64 bits",
-                ));
+                let accepted = "numbers of up to 64 bits";
+                return Err(place.clone().refuse(format!("the type of {what}"), other, accepted));
             }
         };
-        let shape = dataset.shape().map_err(damaged(path))?;
+        let shape = dataset.shape().map_err(unreadable(path))?;
         let refuse = |value: String| place.clone().refuse(format!("the shape of {what}"), value, "(T, D)");
         let [rows, features @ ..] = &shape[..] else { return Err(refuse("()".into())) };
         let width = features.iter().try_fold(1_u64, |a, &b| a.checked_mul(b)).and_then(|w| w.try_into().ok());
         let width: usize = width.ok_or_else(|| refuse(format!("{shape:?}")))?;
         // Whole chunks, so that none is decoded twice.
-        let chunk = dataset.chunk_shape().map_err(damaged(path))?.and_then(|chunk| chunk.first().copied());
+        let chunk = dataset.chunk_shape().map_err(unreadable(path))?.and_then(|chunk| chunk.first().copied());
         let chunk = chunk.unwrap_or(1).max(1);
         let row_bytes = (width as u64).saturating_mul(bytes).max(1);
         let window = (WINDOW_BYTES / row_bytes / chunk).max(1).saturating_mul(chunk);
@@ -95,6 +107,12 @@ impl Table {
         let rows = self.rows;
         rows::flags(self, 0, rows, place, what)
     }
+}
+
+/// Whether the numbers of an enumeration begin with their highest byte.
+fn is_big_endian(kind: &Datatype) -> bool {
+    let Datatype::Enumeration { base_type, .. } = kind else { return false };
+    matches!(**base_type, Datatype::FixedPoint { byte_order: DatatypeByteOrder::BigEndian, .. })
 }
 
 /// Which 16 bits of floating point these are.
@@ -114,21 +132,14 @@ fn half(kind: &Datatype) -> Option<Element> {
 
 /// Refuses what the library cannot read, by its name.
 fn readable(dataset: &Dataset, path: &Path, place: &Place, what: &str) -> Result<(), ImportError> {
-    let convert = |import: &str| {
-        format!(
-            "`python3 -c 'import h5py{import}; a = h5py.File(\"{0}\"); b = h5py.File(\"plain.hdf5\", \"w\"); \
-             a.visititems(lambda k, v: b.__setitem__(k, v[()]) if hasattr(v, \"shape\") else None)'` makes a file that is read",
-            path.display()
-        )
-    };
     let layout = dataset.layout();
     if matches!(layout, Err(Error::Format(FormatError::UnsupportedExternalStorage))) {
         let kind = format!("a file whose {what} lie in another file (external storage)");
-        return Err(place.clone().foreign(kind, convert("")));
+        return Err(place.clone().foreign(kind, copied(path, "")));
     }
     if matches!(layout, Ok(Layout::Virtual) | Err(Error::Format(FormatError::UnsupportedVirtualLayout))) {
         let kind = format!("a file whose {what} are a virtual dataset, made of other files or datasets");
-        return Err(place.clone().foreign(kind, convert("")));
+        return Err(place.clone().foreign(kind, copied(path, "")));
     }
     let Some(filter) = dataset.filters().into_iter().find(|filter| !READ.contains(filter)) else {
         return Ok(());
@@ -136,8 +147,8 @@ fn readable(dataset: &Dataset, path: &Path, place: &Place, what: &str) -> Result
     let name = FILTERS.iter().find(|(id, _)| *id == filter).map_or("an unknown filter", |(_, name)| name);
     let kind = format!("a file whose {what} are compressed with {name} (filter {filter})");
     let next = match filter {
-        4 | 5 => format!("`h5repack -f GZIP=4 {} repacked.hdf5` makes a file that is read", path.display()),
-        _ => convert(", hdf5plugin"),
+        4 | 5 => format!("`h5repack -f GZIP=4 {} repacked.hdf5`, or {}", path.display(), copied(path, "")),
+        _ => copied(path, ", hdf5plugin"),
     };
     Err(place.clone().foreign(kind, next))
 }
@@ -159,7 +170,18 @@ impl Rows for Table {
         let raw = || self.dataset.read_raw_rows(first, count).map_err(|error| self.failed(error));
         let values: Vec<f64> = match self.element {
             Element::Plain => self.dataset.read_f64_rows(first, count).map_err(|error| self.failed(error))?,
-            Element::Byte => raw()?.into_iter().map(f64::from).collect(),
+            Element::Enum { bytes, big_endian } => {
+                let number = |element: &[u8]| {
+                    let shift = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
+                    let number = if big_endian {
+                        element.iter().fold(0, shift)
+                    } else {
+                        element.iter().rev().fold(0, shift)
+                    };
+                    number as f64
+                };
+                raw()?.chunks_exact(bytes).map(number).collect()
+            }
             Element::Half { ieee, big_endian } => {
                 let wide = |&pair: &[u8; 2]| {
                     let bits = if big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) };
@@ -182,11 +204,10 @@ impl Table {
     fn failed(&self, error: Error) -> ImportError {
         match error {
             Error::Format(FormatError::UnsupportedExternalStorage) => {
-                let next = "copy the dataset into one file with h5py: `b[\"observations\"] = a[\"observations\"][()]`";
-                Place::of(&self.path)
-                    .foreign("a file whose data lie in another file (external storage)", next)
+                let kind = "a file whose data lie in another file (external storage)";
+                Place::of(&self.path).foreign(kind, copied(&self.path, ""))
             }
-            error => damaged(&self.path)(error),
+            error => unreadable(&self.path)(error),
         }
     }
 }

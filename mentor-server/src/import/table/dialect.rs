@@ -12,7 +12,7 @@ pub(super) enum Separator {
 }
 
 /// Those that are looked for, the least likely within a field first.
-const SEPARATORS: [u8; 3] = [b'\t', b';', b','];
+const SEPARATORS: [u8; 4] = [b'\t', b'|', b';', b','];
 
 impl Separator {
     /// The likeliest one for these lines, the first of which may be a header.
@@ -110,7 +110,15 @@ pub(super) fn first_row(first: &[&str], second: Option<&[&str]>, numbers: Number
         field if ["true", "false"].contains(&&*field.to_lowercase()) => Field::Number,
         _ => Field::Text,
     };
-    let counts = |fields: &[&str]| fields.iter().enumerate().all(|(i, field)| field.trim() == i.to_string());
+    // The numbers from 0 on, each once, whatever their order: a data frame's columns may have been sorted.
+    let counts = |fields: &[&str]| {
+        let mut places: Vec<Option<usize>> = fields
+            .iter()
+            .map(|field| field.trim().strip_suffix(".0").unwrap_or(field.trim()).parse().ok())
+            .collect();
+        places.sort_unstable();
+        places.iter().enumerate().all(|(i, place)| *place == Some(i))
+    };
     let kinds: Vec<Field> = first.iter().map(kind).collect();
     if !kinds.contains(&Field::Text) {
         // The index column that pandas writes has no name; its columns without names are counted.
@@ -140,6 +148,7 @@ mod tests {
         for (text, expected) in [
             ("x,y\n1,2\n3,4", Separator::Byte(b',')),
             ("x;y\n1;2", Separator::Byte(b';')),
+            ("x|y\n1,5|2", Separator::Byte(b'|')),
             ("x;y\n0,5;1,5\n2,5;3,5", Separator::Byte(b';')),
             ("0,5;1,5\n2,5;3,5", Separator::Byte(b';')),
             ("x\ty\n1\t2", Separator::Byte(b'\t')),
@@ -179,10 +188,10 @@ mod tests {
         {
             assert_eq!(first(header), First::Header, "{header}");
         }
-        for data in ["0,0\n1,0", "1,2", "0.0,1.0\n2,3", "nan,1\n2,3", "1,true\n2,false", "3,\n4,"] {
+        for data in ["0,0\n1,0", "1,2", "0.0,1.5\n2,3", "nan,1\n2,3", "1,true\n2,false", "3,\n4,"] {
             assert_eq!(first(data), First::Data, "{data}");
         }
-        for unclear in ["0,1\n1,1", "0\n1", "0,0,N\n1,0,E"] {
+        for unclear in ["0,1\n1,1", "0\n1", "1,0\n2,0", "0.0,1.0\n2,3", "0,0,N\n1,0,E"] {
             assert!(matches!(first(unclear), First::Ambiguous(_)), "{unclear}");
         }
     }

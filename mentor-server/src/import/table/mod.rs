@@ -246,7 +246,7 @@ impl Rows {
 }
 
 /// What a comment begins with.
-const COMMENTS: [char; 2] = ['#', '%'];
+const COMMENTS: [&str; 3] = ["#", "%", "//"];
 
 /// What a line is.
 enum Line {
@@ -316,7 +316,7 @@ impl Lines {
                     return Ok(true);
                 }
                 Line::Comment if !self.began => {
-                    let text = self.text.trim().trim_start_matches(COMMENTS).trim();
+                    let text = self.text.trim().trim_start_matches(['#', '%', '/']).trim();
                     self.comment = Some((self.line, text.into()));
                 }
                 Line::Comment | Line::Blank => {}
@@ -344,7 +344,7 @@ impl Lines {
         match text.strip_prefix("sep=").map(str::as_bytes) {
             Some(&[byte]) => Line::Separator(Separator::Byte(byte)),
             _ if text.is_empty() => Line::Blank,
-            _ if text.starts_with(COMMENTS) => Line::Comment,
+            _ if COMMENTS.iter().any(|mark| text.starts_with(mark)) => Line::Comment,
             _ => Line::Row,
         }
     }
