@@ -87,6 +87,8 @@ impl Resolved {
         let dir = RunDir::new(root);
         let occupied = occupied(root)?;
         let fence = if occupied && existing != Existing::Keep { Some(Fence::take(root)?) } else { None };
+        // Somebody may have been at it until the lock was free.
+        let occupied = self::occupied(root)?;
         clear_away(root, fence.as_ref().is_some_and(Fence::holds));
         let followed = match existing {
             Existing::Resume => Some(self.check_resume(&dir)?),
@@ -144,8 +146,14 @@ impl Resolved {
                 fence
             }
             None => make(root, fresh, existing).inspect_err(|_| {
-                // Where the directory is another start's by now, what it would replace stays aside.
-                replaced.as_ref().map(|aside| fs::rename(aside, root));
+                // Where the directory is another start's by now, what it would replace stays aside if there is anything in it.
+                if let Some(aside) = &replaced
+                    && fs::rename(aside, root).is_err()
+                    && nothing_saved(aside)
+                    && let Err(error) = discard(aside)
+                {
+                    tracing::warn!("{error:#}");
+                }
             })?,
         };
         drop(former);

@@ -8,6 +8,7 @@ use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use nix::unistd::dup;
 use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -33,11 +34,24 @@ impl Fence {
     /// # Errors
     /// A run is in progress in the directory, or a process of a former one has not ended in time.
     pub(super) fn take(root: &Path) -> Result<Self> {
-        let dir = File::open(root).with_context(|| format!("cannot open {}", root.display()))?;
         let (start, mut said) = (Instant::now(), false);
         loop {
+            // Opened anew each time: another start, which had the lock, may have put a directory of its own in the place of this
+            // one, or be about to.
+            let dir = match File::open(root) {
+                Err(e) if e.kind() == ErrorKind::NotFound && start.elapsed() < FENCE_WAIT => {
+                    sleep(LOOK);
+                    continue;
+                }
+                opened => opened.with_context(|| format!("cannot open {}", root.display()))?,
+            };
             match dir.try_lock() {
-                Ok(()) => return Ok(Self(Some(dir))),
+                Ok(()) if is_at(&dir, root) => return Ok(Self(Some(dir))),
+                Ok(()) => {
+                    drop(dir);
+                    sleep(LOOK);
+                    continue;
+                }
                 Err(TryLockError::WouldBlock) => {}
                 Err(TryLockError::Error(error)) => {
                     tracing::warn!(
@@ -84,10 +98,16 @@ impl Fence {
 pub(crate) fn try_lock(root: &Path) -> Result<Option<File>> {
     let dir = File::open(root).with_context(|| format!("cannot open {}", root.display()))?;
     match dir.try_lock() {
-        Ok(()) => Ok(Some(dir)),
-        Err(TryLockError::WouldBlock) => bail!("{} is in use", root.display()),
+        Ok(()) if is_at(&dir, root) => Ok(Some(dir)),
+        Ok(()) | Err(TryLockError::WouldBlock) => bail!("{} is in use", root.display()),
         Err(TryLockError::Error(_)) => Ok(None),
     }
+}
+
+/// Whether the open directory `dir` is the one that `root` leads to. A lock on one that has been moved or removed keeps nobody out.
+fn is_at(dir: &File, root: &Path) -> bool {
+    let of = |meta: &fs::Metadata| (meta.dev(), meta.ino());
+    matches!((dir.metadata(), fs::metadata(root)), (Ok(own), Ok(there)) if of(&own) == of(&there))
 }
 
 /// Who has the lock of `dir`, as far as can be seen from here.
@@ -132,6 +152,33 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use std::process::{Command, Stdio};
+
+    /// A start that waits for the lock of a directory, while the one that has it puts another one in its place, gets that of the
+    /// new one, and not that of the old one beside it.
+    #[test]
+    fn the_lock_is_that_of_the_directory_in_the_place() {
+        let dir = tempfile::tempdir().unwrap();
+        let (root, aside) = (dir.path().join("run"), dir.path().join("run.replaced-7"));
+        fs::create_dir(&root).unwrap();
+        let first = Fence::take(&root).unwrap();
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| Fence::take(&root).unwrap());
+            // Moved at any moment of the other one's wait, the outcome is the same.
+            fs::rename(&root, &aside).unwrap();
+            drop(first);
+            std::thread::yield_now();
+            fs::create_dir(&root).unwrap();
+            let fence = waiting.join().unwrap();
+            assert!(is_at(fence.0.as_ref().unwrap(), &root));
+            assert!(try_lock(&root).is_err() && try_lock(&aside).unwrap().is_some());
+        });
+        // What is opened and then moved is in use by whoever moved it.
+        let opened = File::open(&root).unwrap();
+        fs::remove_dir(&root).unwrap();
+        assert!(!is_at(&opened, &root));
+        fs::create_dir(&root).unwrap();
+        assert!(!is_at(&opened, &root) && is_at(&File::open(&root).unwrap(), &root));
+    }
 
     #[test]
     fn the_lock_is_inherited_and_ends_with_the_last_who_has_it() {

@@ -20,6 +20,6 @@ mod states;
 
 pub(crate) use directory::{Existing, Prepared, draw, quoted};
 pub(crate) use fence::try_lock;
-pub(crate) use probes::{Needs, check, check_stack, findings, weaknesses};
+pub(crate) use probes::{Needs, check, check_page, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};
-pub(crate) use states::{clear_away, has_leftovers, nothing_saved, recover, replaced, run_of};
+pub(crate) use states::{clear_away, has_leftovers, is_unborn, nothing_saved, recover, replaced, run_of};

@@ -184,6 +184,14 @@ fn open_files(needs: &Needs) -> Finding {
     limit("open files", Resource::RLIMIT_NOFILE, needs.open_files.max(needs.supervisor_files), "-n")
 }
 
+/// Refuses to serve the live page with fewer open files than its browsers and the runs that it reads need.
+pub(crate) fn check_page() -> Result<()> {
+    const NEEDED: u64 = 64;
+    let finding = limit("open files", Resource::RLIMIT_NOFILE, NEEDED, "-n");
+    ensure!(finding.enough, finding.text);
+    Ok(())
+}
+
 /// The size that a file may have. A process that writes beyond it would be killed, or get no further.
 fn file_size(needs: &Needs) -> Finding {
     match raised(Resource::RLIMIT_FSIZE, needs.file_bytes) {

@@ -12,6 +12,7 @@ use crate::TRANSPORT;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
@@ -106,9 +107,13 @@ pub(super) fn discard(path: &Path) -> Result<()> {
     let name = name.to_string_lossy();
     let name = name.rsplit_once(REPLACED).map_or(name.as_ref(), |(name, _)| name);
     let gone = path.with_file_name(format!(".{name}{REMOVED}{}", std::process::id()));
-    fs::rename(path, &gone)
-        .and_then(|()| fs::remove_dir_all(&gone))
-        .with_context(|| format!("cannot remove {}", path.display()))
+    let failed = || format!("cannot remove {}", path.display());
+    fs::rename(path, &gone).with_context(failed)?;
+    match fs::remove_dir_all(&gone) {
+        // Another command is removing it as well.
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::DirectoryNotEmpty) => Ok(()),
+        removed => removed.with_context(failed),
+    }
 }
 
 /// Follows the name of a run that waits while another takes its place, before the process that replaces it.
@@ -199,8 +204,12 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
                 fs::remove_dir(root).with_context(|| format!("cannot remove {}", root.display()))?;
             }
         }
-        fs::rename(&aside, root)
-            .with_context(|| format!("cannot put {} back as {}", aside.display(), root.display()))?;
+        match fs::rename(&aside, root) {
+            // Another start has made the directory meanwhile: what is aside is for the command after it.
+            Err(e) if matches!(e.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => continue,
+            renamed => renamed
+                .with_context(|| format!("cannot put {} back as {}", aside.display(), root.display()))?,
+        }
         drop(of_aside);
         said.push(format!(
             "note: {} is back as it was: an --overwrite of it was killed before anything new was saved",
@@ -264,6 +273,8 @@ mod tests {
         write(root.join("checkpoints/000000000001/model.safetensors"));
         assert!(nothing_saved(root), "a checkpoint that is not complete");
         write(root.join("checkpoints/000000000001/COMPLETE"));
+        assert!(nothing_saved(root), "one that was killed in its last moment");
+        fs::write(root.join("checkpoints/000000000001/COMPLETE"), "0123abcd\n").unwrap();
         assert!(!nothing_saved(root));
         fs::remove_dir_all(root.join("checkpoints")).unwrap();
         write(root.join("result.json"));

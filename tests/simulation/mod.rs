@@ -58,6 +58,8 @@ use world::World;
 /// The directory of the disk in a world's.
 const DISK: &str = "disk";
 const PRESET: &str = "maze-small";
+/// Schedules after which a long run says how far it is.
+const PIECE: u64 = 5000;
 
 /// A run of a few ticks, with checkpoints and evaluations on the way.
 const SETS: [&str; 14] = [
@@ -68,7 +70,7 @@ const SETS: [&str; 14] = [
     "learner.hidden=[4]",
     "learner.batch=4",
     "learner.warmup=8",
-    "learner.replay=32",
+    "learner.replay=12",
     "learner.train_every=2",
     "checkpoint.every_env_steps=12",
     "checkpoint.keep=2",
@@ -315,21 +317,26 @@ fn asked(name: &str, usual: u64) -> u64 {
 fn whatever_befalls_a_run_it_ends_as_an_undisturbed_one() {
     let (first, count) = (asked("TRESTLE_SEED", 1), asked("TRESTLE_SCHEDULES", 100));
     let began = Instant::now();
-    if let Some((seed, Played { failure, log, .. })) = play_all(first, count) {
-        panic!(
-            "seed {seed}: {}\n{:#?}\n{}",
-            failure.unwrap_or_else(|| "it did not fail again".into()),
-            Schedule::of(seed, CONFIGS.len()),
-            log.join("\n")
-        );
+    let seconds = || began.elapsed().as_secs_f64();
+    // In pieces, so that a long run says how far it is, and can be gone on with from there.
+    for from in (first..first + count).step_by(PIECE as usize) {
+        let piece = PIECE.min(first + count - from);
+        if let Some((seed, Played { failure, log, .. })) = play_all(from, piece) {
+            panic!(
+                "seed {seed}: {}\n{:#?}\n{}",
+                failure.unwrap_or_else(|| "it did not fail again".into()),
+                Schedule::of(seed, CONFIGS.len()),
+                log.join("\n")
+            );
+        }
+        if count > PIECE {
+            println!("seeds {from} to {}: none failed, {:.0} s so far", from + piece - 1, seconds());
+        }
     }
     if count == 1 {
         println!("{}", play_seed(first).log.join("\n"));
     }
-    println!(
-        "{count} schedules from seed {first} on, none of which failed, in {:.0} s",
-        began.elapsed().as_secs_f64()
-    );
+    println!("{count} schedules from seed {first} on, none of which failed, in {:.0} s", seconds());
 }
 
 /// What was once wrong is found where it is put back, and by how it shows.

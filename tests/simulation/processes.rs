@@ -98,7 +98,7 @@ pub(super) fn user(world: &Arc<World>, scene: Scene, config: usize, io: bool) {
 
 fn try_user(world: &Arc<World>, scene: Scene, config: usize, io: bool) -> Result<()> {
     let places = places(&world.root, scene, &typed(config));
-    let (mut commands, mut tries, mut said) = (0, 0, String::new());
+    let (mut commands, mut tries, mut cleaned, mut said) = (0, 0, 0, String::new());
     loop {
         let (there, complete) = aside(|| {
             let complete = places.iter().all(|(dir, _)| result(dir).is_some());
@@ -106,15 +106,20 @@ fn try_user(world: &Arc<World>, scene: Scene, config: usize, io: bool) -> Result
         });
         let alive = world.lock().processes.iter().any(|p| p.role == Role::Supervisor && p.end.is_none());
         if complete && !alive {
-            // The last of the processes may have had nobody to remove what they shared: the next command does.
+            // The last of the processes may have had nobody to remove what they shared or had put aside: the next command does,
+            // unless a call of it fails.
             while world.lock().processes.iter().skip(1).any(|process| process.end.is_none()) {
                 wait(world, On::Time, Some(100 * MS))?;
             }
-            if aside(|| fs::read_dir(world.root.join("shm")))?.next().is_none() {
+            let shared = aside(|| fs::read_dir(world.root.join("shm")))?.next().is_some();
+            let put_aside = |dir: &PathBuf| dir.parent().is_some_and(prepare::has_leftovers);
+            cleaned += 1;
+            if !shared && !aside(|| places.iter().any(|(dir, _)| put_aside(dir))) || cleaned > PATIENCE {
                 return Ok(());
             }
             let last = command(world, scene, config, true);
-            return wait(world, On::Process(last), None);
+            wait(world, On::Process(last), None)?;
+            continue;
         }
         let quiet = world.lock().is_quiet();
         tries += usize::from(quiet && !alive);
@@ -141,7 +146,12 @@ fn try_user(world: &Arc<World>, scene: Scene, config: usize, io: bool) -> Result
                             "exists; accepted",
                             "is complete with",
                         ];
-                        if !io && !known.iter().any(|known| words.contains(known)) {
+                        // One may look while another one is making the directory.
+                        let between = words.contains("is no run") && {
+                            let state = world.lock();
+                            state.processes.iter().any(|p| p.role == Role::Supervisor && p.end.is_none())
+                        };
+                        if !io && !between && !known.iter().any(|known| words.contains(known)) {
                             bail!("a command is refused: {words}");
                         }
                         said = words;
@@ -182,7 +192,7 @@ fn train(world: &Arc<World>, config: usize, resume: bool) -> Result<i32> {
     prepare::recover(&root)?;
     let config = typed(config);
     let existing = match resume {
-        true if prepare::nothing_saved(&root) => Existing::Unsaved,
+        true if !root.exists() || prepare::nothing_saved(&root) => Existing::Unsaved,
         true => Existing::Resume,
         false => Existing::Keep,
     };

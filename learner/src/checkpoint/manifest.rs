@@ -151,6 +151,15 @@ pub(super) fn seal(manifest: &[u8]) -> String {
     format!("{:08x}\n", crc32c::crc32c(manifest))
 }
 
+/// Whether the checkpoint in `dir` has a COMPLETE that was written to its end, whatever it says by now. A kill or a power cut in
+/// that moment leaves a part of it, or zeros in the place of one.
+pub(super) fn is_sealed(dir: &Path) -> bool {
+    match regular_file::read(&dir.join(COMPLETE), MAX_BYTES) {
+        Ok(text) => text.len() >= seal(&[]).len() && !text.contains(&0),
+        Err(error) => !error.is_not_found(),
+    }
+}
+
 /// The bytes of the MANIFEST of the checkpoint in `dir`, vouched for by its COMPLETE.
 fn sealed(dir: &Path) -> Result<Vec<u8>, CheckpointError> {
     let complete = dir.join(COMPLETE);

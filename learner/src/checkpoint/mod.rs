@@ -115,7 +115,7 @@ pub fn last(run_dir: &Path) -> Option<Round> {
     target.ok()?.file_name()?.to_str()?.parse().ok()
 }
 
-/// Whether `run_dir` holds a checkpoint that was finished, sound or not.
+/// Whether `run_dir` holds a checkpoint that was finished, sound or not. One whose COMPLETE is empty, or cut off, was not.
 ///
 /// # Errors
 /// The directory cannot be listed.
@@ -129,7 +129,7 @@ pub fn any_complete(run_dir: &Path) -> Result<bool, CheckpointError> {
 /// The directory cannot be listed.
 pub fn complete(run_dir: &Path) -> Result<Vec<Round>, CheckpointError> {
     let mut found = ticks(run_dir)?;
-    found.retain(|&tick| directory(run_dir, tick).join(COMPLETE).exists());
+    found.retain(|&tick| manifest::is_sealed(&directory(run_dir, tick)));
     Ok(found)
 }
 

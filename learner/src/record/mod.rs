@@ -48,6 +48,7 @@ use std::time::{Duration, Instant};
 use tensorboard::EventWriter;
 use thinning::{EPISODES, EVALUATIONS, INTERVALS, is_kept, stride};
 use trestle_algorithm::agent::{Counters, Episode};
+use trestle_proto::own_file;
 use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 
@@ -294,7 +295,7 @@ impl Recorder {
         Ok((state, files))
     }
 
-    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`.
+    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`. Whoever finds that has all lines.
     pub fn finish(
         mut self,
         counters: &Counters,
@@ -326,6 +327,9 @@ impl Recorder {
             mentor_bridged_frac: known(gauges.bridged_frac),
             mentor_loss_frac: ending.mentor_samples.and_then(|[all, used]| known(used as f64 / all as f64)),
         };
+        for Unsynced { path, file } in [self.evals.unsynced()?, self.metrics.unsynced()?] {
+            own_file::synced(file.sync_all()).map_err(error::io("sync", &path))?;
+        }
         write_result(&self.dir, &result)?;
         Ok(result)
     }
