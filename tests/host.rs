@@ -200,6 +200,11 @@ fn limits_are_named() {
         let words = ["open files", files, needs, "ulimit -n"];
         limited(&setup, &["--actors", actors], &words);
     }
+    limited("ulimit -n 8", &["--watch"], &["open files", "8", "64", "ulimit -n"]);
+    let page = ["sh", "-c", "ulimit -n 8 && exec \"$@\"", "sh"];
+    start_under(&page, &["watch", "--port", "0", &place.path("runs")])
+        .finish()
+        .refused(&["open files", "ulimit -n"]);
     limited("ulimit -f 40", &[], &["cannot write", "File too large (ulimit -f)", "KiB", "needs"]);
     for stack in ["64", "200", "512"] {
         limited(&format!("ulimit -s {stack}"), &[], &["stack", stack, "needs 1024", "ulimit -s"]);
@@ -314,8 +319,17 @@ fn tmp_may_be_read_only() {
         "mount --bind /tmp /tmp && mkdir -p {root} && mount --bind {root} {root} && mount -o remount,bind,ro /tmp \
          && ! touch /tmp/trestle-test 2>/dev/null"
     );
-    if let Some(outcome) = trained_after(&place, &setup, &[]) {
-        outcome.ok();
-        assert_eq!(Trace::of(&place.run("run")).result.env_steps, 3000);
-    }
+    let Some(outcome) = trained_after(&place, &setup, &[]) else { return };
+    outcome.ok();
+    assert_eq!(Trace::of(&place.run("run")).result.env_steps, 3000);
+    // Nor does a sweep, unless it has maps of a suite to make.
+    let under = ["unshare", "--mount", "sh", "-c", &format!("{setup} && exec \"$@\""), "sh"];
+    let out = place.path("sweep");
+    let sweep = |what: &[&str]| {
+        let args =
+            ["sweep", "--algos", "dqn", "--seeds", "0..1", "--episodes", "2", "--quiet", "--out", &out];
+        start_under(&under, &[&args[..], what].concat()).finish()
+    };
+    sweep(&["maze-small"]).ok();
+    sweep(&["suite", "--task-set", "choosing"]).refused(&["cannot make a directory in /tmp", "TMPDIR"]);
 }

@@ -164,8 +164,28 @@ fn a_run_goes_on_without_its_configuration() {
     let commands = fs::read_to_string(dir.command()).unwrap();
     let lines: Vec<&str> = commands.lines().collect();
     assert!(lines.len() == 2 && lines[0].contains(" train ") && lines[1].contains(" resume "), "{commands}");
-    let nowhere = place.path("nowhere");
-    start(&["resume", &nowhere]).finish().refused(&["nowhere is no run"]);
+}
+
+/// Where nothing is saved, going on is beginning: for a command that says what to begin. The other one says so.
+#[test]
+fn where_nothing_is_saved_a_run_begins() {
+    let place = Place::new();
+    let straight = place.train("straight", &ARGS);
+    for name in ["empty", "half"] {
+        fs::create_dir(place.path(name)).unwrap();
+    }
+    place.write("half/config.toml", "");
+    for name in ["absent", "empty", "half"] {
+        let root = place.path(name);
+        let begin = format!("`trestle train CONFIG --resume --out {root}`, which begins one there");
+        start(&["resume", &root]).finish().refused(&["holds no run to go on with", &begin]);
+        let said = start(&place.training(name, &[&ARGS[..], &["--resume"]].concat())).finish().ok();
+        assert!(
+            said.stderr.contains(&format!("note: nothing is saved in {root}: the run begins")),
+            "{said:?}"
+        );
+        assert_eq!(Trace::of(&place.run(name)), straight, "{name}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::train;
 use crate::cli::Resume;
 use crate::prepare::{self, Existing};
 use crate::status::ExitCode;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use trestle_actor::env::registry;
 use trestle_link::logging;
 use trestle_proto::config;
@@ -16,6 +16,13 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
     // What a killed --overwrite has left may be the very run.
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
     let path = RunDir::new(&root).config();
+    // A start writes the configuration first, and what belongs to it before the plan.
+    ensure!(
+        path.exists() && !prepare::is_unborn(&root),
+        "{0} holds no run to go on with; accepted: a run's directory, or `trestle train CONFIG --resume --out {0}`, which \
+         begins one there",
+        root.display()
+    );
     let config = config::load_with(registry(), &path.display().to_string(), &args.sets, |config| {
         args.limits.apply(config);
     })

@@ -13,6 +13,8 @@ use crate::sweep::suite::{SUITE, Suite, kinds, place};
 use crate::sweep::{Outcome, Sweep, Swept, configuration, jobs};
 use anyhow::{Context, Result, bail, ensure};
 use std::collections::BTreeSet;
+use std::env;
+use tempfile::TempDir;
 use trestle_actor::env::registry;
 use trestle_link::logging;
 use trestle_proto::config::Mode;
@@ -23,8 +25,15 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "sweep", "warn");
     let Asked { source, sets, limits, arms, seeds, suite } = asked(args)?;
     // Until everything is checked, what a suite makes is somewhere else.
-    let aside = tempfile::tempdir().context("cannot make a temporary directory")?;
-    let made = if suite.is_some() { aside.path() } else { &args.out };
+    let aside = suite.as_ref().map(|_| tempfile::tempdir()).transpose();
+    let aside = aside.with_context(|| {
+        let dir = env::temp_dir();
+        format!(
+            "cannot make a directory in {}; accepted: one that can be written to in TMPDIR",
+            dir.display()
+        )
+    })?;
+    let made = aside.as_ref().map_or(args.out.as_path(), TempDir::path);
     if let Some(suite) = &suite {
         suite.write(made)?;
     }

@@ -85,8 +85,9 @@ pub(super) fn go(
 ) -> Result<ExitCode> {
     let listening = Listening::of(remote, &config.run)?;
     let existing = match existing {
-        Existing::Resume if prepare::nothing_saved(root) => {
-            crate::output::say(&format!("{}: nothing had been saved: beginning anew", root.display()));
+        // A batch script types the same command each time, the first time included.
+        Existing::Resume if !root.exists() || prepare::nothing_saved(root) => {
+            crate::output::say(&format!("note: nothing is saved in {}: the run begins", root.display()));
             Existing::Unsaved
         }
         existing => existing,

@@ -2,6 +2,7 @@
 
 use crate::cli::{Beside, Watch};
 use crate::output::say;
+use crate::prepare::check_page;
 use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use std::net::{IpAddr, Ipv4Addr};
@@ -9,6 +10,7 @@ use std::path::Path;
 use trestle_watch::Server;
 
 pub(super) fn run(args: &Watch) -> Result<ExitCode> {
+    check_page()?;
     let server = Server::bind(&args.dir, args.bind, args.port)?;
     outln!("{}: {}", args.dir.display(), server.url());
     if !server.is_private() {
@@ -22,6 +24,7 @@ pub(super) fn run(args: &Watch) -> Result<ExitCode> {
 /// for.
 pub(super) fn beside(asked: Beside, dir: &Path, run: Option<&str>) -> Result<()> {
     let Some(port) = asked.watch else { return Ok(()) };
+    check_page()?;
     let server = Server::bind(dir, IpAddr::V4(Ipv4Addr::LOCALHOST), port)?;
     let page = run.map(|run| format!("run/{run}")).unwrap_or_default();
     say(&format!("watch: {}{page}", server.url()));

@@ -61,7 +61,13 @@ impl Manifest {
     pub(crate) fn read(out: &Path) -> Result<Self> {
         let path = Self::path(out);
         let text = regular_file::read_to_string(&path, MAX_BYTES)
-            .with_context(|| format!("--resume: {} is no sweep's directory", out.display()))?;
+            .with_context(|| {
+                format!(
+                    "--resume: {0} is no sweep's directory; accepted: one, or `trestle sweep CONFIG ... --resume --out {0}`, \
+                     which begins one there",
+                    out.display()
+                )
+            })?;
         serde_json::from_str(&text).with_context(|| format!("{} cannot be read", path.display()))
     }
 
