@@ -91,11 +91,14 @@ TABLES = {
     "step": (["step"], lambda step: measured(step, {
         "algo": "algorithm", "inputs": "inputs", "conv": "convolution", "hidden": "hidden", "batch": "batch", "isa": "instructions", "us": "us",
         "limit_us": "limit, us", "times_limit": "times the limit", "peak_gflops": "peak, GFLOP/s"})),
+    "threads": (["threads"], lambda threads: measured(threads, {
+        "inputs": "inputs", "conv": "convolution", "hidden": "hidden", "batch": "batch", "threads": "threads", "us": "us",
+        "gain": "times as fast as one"})),
     "peers": (["step", "step_torch", "step_jax"], peers),
     "infer": (["infer"], lambda infer: measured(infer, {
         "inputs": "inputs", "hidden": "hidden", "isa": "instructions", "us": "us"})),
     "replay": (["replay"], lambda replay: measured(replay, {
-        "op": "operation", "dim": "features", "stored": "stored", "ns": "ns a transition"})),
+        "op": "operation", "dim": "features", "bytes": "bytes each", "stored": "stored", "ns": "ns a transition"})),
     "mentor": (["mentor"], lambda mentor: measured(mentor, {
         "op": "operation", "dim": "features", "mentor": "mentor transitions", "stored": "stored", "states": "states", "ns": "ns",
         "naive_ns": "naive, ns"})),

@@ -230,7 +230,7 @@ pub(crate) struct Resume {
     pub(crate) run: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// Override one of the settings that may change: run.stop_when_solved, checkpoint.keep, [env.hazard] and
+    /// Override one of the settings that may change: run.stop_when_solved, learner.threads, checkpoint.keep, [env.hazard] and
     /// `[supervise]`; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,

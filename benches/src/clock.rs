@@ -20,28 +20,47 @@ const FEWER: usize = 6;
 /// Something to repeat.
 pub(super) type Case<'a> = Box<dyn FnMut() -> Result<()> + 'a>;
 
-/// CPU time of this thread: what other processes do to a shared machine is not in it.
-fn cpu_time() -> Result<Duration> {
-    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).context("no clock for a thread's CPU time")?;
-    Ok(time.into())
+/// What time is taken.
+#[derive(Clone, Copy)]
+pub(super) enum Clock {
+    /// CPU time of this thread: what other processes do to a shared machine is not in it.
+    Thread,
+    /// The time that passes: for what several threads do.
+    Wall,
 }
 
-/// CPU time of `calls` calls.
-fn time(case: &mut Case<'_>, calls: u32) -> Result<Duration> {
-    let start = cpu_time()?;
-    for _ in 0..calls {
-        case()?;
+impl Clock {
+    fn now(self) -> Result<Duration> {
+        let id = match self {
+            Clock::Thread => ClockId::CLOCK_THREAD_CPUTIME_ID,
+            Clock::Wall => ClockId::CLOCK_MONOTONIC,
+        };
+        Ok(clock_gettime(id).context("no such clock")?.into())
     }
-    Ok(cpu_time()? - start)
+
+    /// The time of `calls` calls.
+    fn time(self, case: &mut Case<'_>, calls: u32) -> Result<Duration> {
+        let start = self.now()?;
+        for _ in 0..calls {
+            case()?;
+        }
+        Ok(self.now()? - start)
+    }
 }
 
 /// Nanoseconds of CPU time that a call of each case takes: the median of its samples, after a warm-up. None where one
 /// call takes longer than a second.
 pub(super) fn medians(cases: &mut [Case<'_>], effort: Effort) -> Result<Vec<Option<f64>>> {
+    let samples = samples(cases, effort, Clock::Thread)?;
+    Ok(samples.into_iter().map(|samples| (!samples.is_empty()).then(|| median(samples))).collect())
+}
+
+/// Nanoseconds of each sample of each case, in which the cases took turns; none of a case of which one call takes longer than a second.
+pub(super) fn samples(cases: &mut [Case<'_>], effort: Effort, clock: Clock) -> Result<Vec<Vec<f64>>> {
     let (most, sample) = (effort.pick(SAMPLES[0], SAMPLES[1]), effort.pick(SAMPLE[0], SAMPLE[1]));
     let mut calls = Vec::with_capacity(cases.len());
     for case in cases.iter_mut() {
-        calls.push(calibrate(case, most, sample)?);
+        calls.push(calibrate(case, most, sample, clock)?);
     }
     let mut samples = vec![Vec::with_capacity(most); cases.len()];
     for round in 0..most {
@@ -52,13 +71,13 @@ pub(super) fn medians(cases: &mut [Case<'_>], effort: Effort) -> Result<Vec<Opti
                     if each > 1 {
                         case()?;
                     }
-                    samples.push(time(case, each)?.as_nanos() as f64 / f64::from(each));
+                    samples.push(clock.time(case, each)?.as_nanos() as f64 / f64::from(each));
                 }
                 _ => {}
             }
         }
     }
-    Ok(samples.into_iter().map(|samples| (!samples.is_empty()).then(|| median(samples))).collect())
+    Ok(samples)
 }
 
 struct Calls {
@@ -68,10 +87,10 @@ struct Calls {
 
 /// How many calls make a sample of `case`, which is to take `sample`, and how many of `most` samples it gets; warms it
 /// up.
-fn calibrate(case: &mut Case<'_>, most: usize, sample: Duration) -> Result<Option<Calls>> {
+fn calibrate(case: &mut Case<'_>, most: usize, sample: Duration, clock: Clock) -> Result<Option<Calls>> {
     let mut calls = 1;
     loop {
-        let taken = time(case, calls)?;
+        let taken = clock.time(case, calls)?;
         if taken > TOO_LONG {
             return Ok(None);
         }

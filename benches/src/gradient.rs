@@ -6,8 +6,8 @@ use trestle_algorithm::selection::{self, Candidate, Need, Own, Rule};
 use trestle_proto::config::Mentor;
 use trestle_proto::rng::{Purpose, mix, stream};
 use trestle_qnet::{
-    Adam, AdamConfig, AlignedBuffer, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax, backward,
-    forward, forward_train, init,
+    Adam, AdamConfig, AlignedBuffer, Kernels, Layout, Loss, QNetwork, RowGrad, Threads, Workspace, argmax,
+    backward, forward, forward_train, init,
 };
 
 const GAMMA: f32 = 0.99;
@@ -63,6 +63,12 @@ impl GradientStep {
         })
     }
 
+    /// The same, with `threads` that share the work.
+    pub fn with_threads(mut self, threads: Threads) -> Self {
+        self.workspace = self.workspace.with_threads(threads);
+        self
+    }
+
     /// Rows of the online network's forward pass.
     pub fn forward_rows(&self) -> usize {
         self.rows * (1 + usize::from(self.rule.is_some()))
@@ -95,7 +101,7 @@ impl GradientStep {
         }
         network.update(|params| {
             backward(layout, params, workspace, terms, grad);
-            adam.step(&AdamConfig::default(), *kernels, params, grad);
+            adam.step(&AdamConfig::default(), *kernels, workspace.threads(), params, grad);
         })?;
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! `trestle-bench [NAME] [--json]`: what the documentation quotes, measured on this machine.
 //!
 //! - `step`, `infer`, `replay`, `mentor`: functions, in CPU time of this thread;
+//! - `threads`: a gradient step that several threads share, in wall time;
 //! - `tick` (with `message` and `weights`), `free`: messages, in wall time, with peers that are processes of this program;
 //! - `idle`, `memory`: what the processes of `trestle` take while they wait, and at most;
 //! - `run_loop`: whole runs of `trestle`.
@@ -22,6 +23,7 @@ mod report;
 mod run_loop;
 mod sleeps;
 mod step;
+mod threads;
 mod tick;
 
 use anyhow::Result;
@@ -51,6 +53,8 @@ struct Cli {
 enum Benchmark {
     /// A gradient step, beside the machine's limit
     Step,
+    /// A gradient step that threads share
+    Threads,
     /// An actor's forward pass
     Infer,
     /// Storing and drawing transitions
@@ -78,6 +82,7 @@ impl Benchmark {
         let machine = Machine::new();
         let rows = match self {
             Benchmark::Step => step::run(effort),
+            Benchmark::Threads => threads::run(effort),
             Benchmark::Infer => infer::run(effort),
             Benchmark::Replay => replay::run(effort),
             Benchmark::Mentor => mentor::run(effort),

@@ -6,55 +6,70 @@ use super::report::Row;
 use anyhow::Result;
 use std::hint::black_box;
 use trestle_algorithm::replay::Replay;
-use trestle_bench::walk::World;
 use trestle_proto::NONE;
-use trestle_proto::batch::{Batch, BatchHeader};
-use trestle_proto::rng::{Purpose, stream};
+use trestle_proto::batch::{FIRST, Transition};
+use trestle_proto::rng::{Purpose, mix, stream};
+use trestle_proto::row::{Element, RowKind};
 use trestle_qnet::Encoding;
 
-const CAPACITY: usize = 100_000;
 const BATCH: usize = 32;
-const DIMS: [usize; 2] = [2, 4];
+/// States, and how many transitions are stored; the last are MinAtar's Breakout's.
+const CASES: [(RowKind, usize); 4] = [
+    (RowKind { dim: 2, element: Element::F32 }, 100_000),
+    (RowKind { dim: 4, element: Element::F32 }, 100_000),
+    (RowKind { dim: 4, element: Element::F32 }, 1_000_000),
+    (RowKind { dim: 400, element: Element::U8 }, 1_000_000),
+];
+/// States that a walk goes round, and the length of its episodes.
+const STATES: usize = 997;
+const EPISODE: usize = 200;
 
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let mut cases = Vec::new();
-    for dim in DIMS {
-        cases.extend(pair(dim)?);
+    for (row, stored) in CASES {
+        cases.extend(pair(row, effort.pick(stored, stored / 100))?);
     }
     let found = medians(&mut cases, effort)?;
     let each = |ns: Option<f64>| ns.map(|ns| ns / BATCH as f64);
-    let rows = |(dim, found): (usize, &[Option<f64>])| {
+    let rows = |((row, stored), found): ((RowKind, usize), &[Option<f64>])| {
         ["push", "sample"].into_iter().zip(found.to_vec()).map(move |(op, ns)| {
             Row::new()
                 .with("op", op)
-                .with("dim", dim)
-                .with("stored", CAPACITY)
+                .with("dim", row.dim)
+                .with("bytes", if row.element == Element::U8 { 1 } else { 4 })
+                .with("stored", effort.pick(stored, stored / 100))
                 .with("batch", BATCH)
                 .measured("ns", each(ns))
         })
     };
-    Ok(DIMS.into_iter().zip(found.chunks(2)).flat_map(rows).collect())
+    Ok(CASES.into_iter().zip(found.chunks(2)).flat_map(rows).collect())
+}
+
+/// Whole numbers 0 and 1, for each of the states.
+fn states(dim: usize) -> Vec<f32> {
+    (0..STATES * dim).map(|at| (mix(at as u64) >> 63) as f32).collect()
 }
 
 /// A full replay that a batch is pushed to, and one that a batch is drawn from.
-fn pair(dim: usize) -> Result<[Case<'static>; 2]> {
-    let world = World::new(dim, CAPACITY, 0.2);
-    let spec = world.spec();
-    let mut walk = world.walk();
-    let mut replay = Replay::new(CAPACITY, dim)?;
-    (0..CAPACITY).for_each(|_| _ = replay.push(&walk.step(), 0, NONE));
-    let mut batch = Batch::default();
-    let header = BatchHeader { count: BATCH as u32, obs_dim: dim as u32, ..BatchHeader::default() };
-    walk.fill(header, &mut batch);
+fn pair(row: RowKind, stored: usize) -> Result<[Case<'static>; 2]> {
+    let dim = row.dim;
+    let states = states(dim);
+    let push = move |replay: &mut Replay, count: usize| {
+        for at in replay.next_index() as usize..replay.next_index() as usize + count {
+            let [obs, next_obs] = [at, at + 1].map(|at| &states[at % STATES * dim..][..dim]);
+            let flags = if at.is_multiple_of(EPISODE) { FIRST } else { 0 };
+            replay.push(&Transition { obs, next_obs, action: 0, reward: 0.0, flags }, 0, NONE);
+        }
+    };
+    let mut replay = Replay::new(stored, row)?;
+    push(&mut replay, stored);
 
     let mut written = replay.clone();
-    let push = move || {
-        for at in 0..batch.len() {
-            written.push(&batch.transition(at), 0, NONE);
-        }
+    let store = move || {
+        push(&mut written, BATCH);
         Ok(())
     };
-    let encoding = Encoding::Scale { low: spec.low, high: spec.high };
+    let encoding = Encoding::Scale { low: vec![0.0; dim], high: vec![1.0; dim] };
     let mut rng = stream(1, Purpose::Replay, 0);
     let mut slots = Vec::new();
     let (mut x, mut next) = (vec![0.0; BATCH * dim], vec![0.0; BATCH * dim]);
@@ -67,5 +82,5 @@ fn pair(dim: usize) -> Result<[Case<'static>; 2]> {
         black_box((&x, &next));
         Ok(())
     };
-    Ok([Box::new(push), Box::new(sample)])
+    Ok([Box::new(store), Box::new(sample)])
 }

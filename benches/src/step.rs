@@ -29,7 +29,8 @@ fn convolves(sizes: &[usize]) -> bool {
     sizes.len() == 3
 }
 
-fn layout(sizes: &[usize]) -> Result<Layout> {
+/// The network of `sizes`; MinAtar's if it has one hidden layer.
+pub(super) fn layout(sizes: &[usize]) -> Result<Layout> {
     if !convolves(sizes) {
         return Ok(Layout::new(sizes)?);
     }
@@ -87,7 +88,7 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
 }
 
 /// The convolution of the network of `sizes`, for people.
-fn conv(sizes: &[usize]) -> String {
+pub(super) fn conv(sizes: &[usize]) -> String {
     let (channels, kernel) = CONV;
     if convolves(sizes) { format!("{channels} of {kernel} x {kernel}") } else { "-".into() }
 }

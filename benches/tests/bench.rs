@@ -69,6 +69,12 @@ fn a_gradient_step_beside_its_limit() {
 }
 
 #[test]
+fn threads_beside_one() {
+    let rows = rows("threads", &["batch", "us", "gain", "threads"]);
+    assert!(rows.iter().all(|row| row["threads"] != 1 || row["gain"] == 1.0), "{rows:?}");
+}
+
+#[test]
 fn functions() {
     let infer = rows("infer", &["us"]);
     assert!(infer.iter().all(|row| row["hidden"].is_array() && row["isa"].is_string()), "{infer:?}");

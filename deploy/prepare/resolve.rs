@@ -89,6 +89,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     own.run.episodes = typed.run.episodes;
     own.run.env_steps = typed.run.env_steps;
     own.run.stop_when_solved = typed.run.stop_when_solved;
+    own.learner.threads = typed.learner.threads;
     own.supervise = typed.supervise.clone();
     own.checkpoint.keep = typed.checkpoint.keep;
     own.env.hazard = typed.env.hazard;
@@ -118,7 +119,8 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         let (old, new) = differing.unwrap_or(("more settings", "fewer settings"));
         bail!(
             "--resume: {} was made with other settings: `{old}` there, `{new}` here; accepted: the same, but for \
-             run.episodes, run.env_steps, run.stop_when_solved, checkpoint.keep and what is in [env.hazard] and [supervise]",
+             run.episodes, run.env_steps, run.stop_when_solved, learner.threads, checkpoint.keep and what is in [env.hazard] \
+             and [supervise]",
             root.display()
         );
     }

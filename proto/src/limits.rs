@@ -14,6 +14,8 @@ pub const MAX_ACTIONS: usize = 1024;
 pub const MAX_SIZES: usize = 8;
 /// Most units in one layer.
 pub const MAX_WIDTH: usize = 4096;
+/// Most threads that share a gradient step: above the processors of any machine on which a network could use them.
+pub const MAX_THREADS: usize = 64;
 /// Most rows and columns of a convolution's kernel, and of its stride.
 pub const MAX_KERNEL: usize = 64;
 /// Most transitions in the replay.

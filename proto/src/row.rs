@@ -25,7 +25,7 @@ impl Element {
     pub fn holds(self, value: f32) -> bool {
         match self {
             Self::F32 => value.is_finite(),
-            Self::U8 => f32::from(value as u8).to_bits() == value.to_bits(),
+            Self::U8 => f32::from(byte_of(value)).to_bits() == value.to_bits(),
         }
     }
 
@@ -36,6 +36,13 @@ impl Element {
             Self::U8 => "whole numbers from 0 to 255, as its space has one byte for each",
         }
     }
+}
+
+/// The byte that is `value`, if one is; any other otherwise. Added to 2^23, a small whole number is the last digits of the sum: that runs
+/// through whole registers, which a conversion with its limits does not.
+#[inline]
+fn byte_of(value: f32) -> u8 {
+    (value + 8_388_608.0).to_bits() as u8
 }
 
 /// How many features a state has, and their type.
@@ -69,7 +76,7 @@ impl RowKind {
             Element::F32 => cast_slice_mut(words).copy_from_slice(values),
             Element::U8 => {
                 let (bytes, rest) = cast_slice_mut::<u32, u8>(words).split_at_mut(self.dim);
-                bytes.iter_mut().zip(values).for_each(|(byte, &value)| *byte = value as u8);
+                bytes.iter_mut().zip(values).for_each(|(byte, &value)| *byte = byte_of(value));
                 rest.fill(0);
             }
         }

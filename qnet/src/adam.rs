@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::kernels::{AdamStep, Kernels, Scale, SumOfSquares};
+use crate::threads::{Threads, Work, share};
 
 /// Why a setting of Adam is not usable.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -84,11 +85,20 @@ impl Adam {
     ///
     /// # Panics
     /// If `params` or `grad` have another length than the moments.
-    pub fn step(&mut self, config: &AdamConfig, kernels: Kernels, params: &mut [f32], grad: &[f32]) {
+    pub fn step(
+        &mut self,
+        config: &AdamConfig,
+        kernels: Kernels,
+        threads: &Threads,
+        params: &mut [f32],
+        grad: &[f32],
+    ) {
+        let n = params.len();
+        assert!(self.m.len() == n && self.v.len() == n && grad.len() == n, "{n} parameters");
         self.step += 1;
         let step_size = config.lr / (1.0 - power(config.beta1, self.step));
         let root_scale = 1.0 / (1.0 - power(config.beta2, self.step)).sqrt();
-        kernels.run(AdamStep {
+        let step = AdamStep {
             params,
             m: &mut self.m,
             v: &mut self.v,
@@ -99,7 +109,39 @@ impl Adam {
             step_size: step_size as f32,
             root_scale: root_scale as f32,
             eps: config.eps as f32,
-        });
+        };
+        threads.run(n * AS_MULTIPLY_ADDS, Share { kernels, whole: n, step });
+    }
+}
+
+/// What the step of one parameter costs, in multiply-adds of a matrix product: it is a matter of memory.
+const AS_MULTIPLY_ADDS: usize = 32;
+
+/// A step of some of the parameters.
+struct Share<'a> {
+    kernels: Kernels,
+    /// Parameters of all parts.
+    whole: usize,
+    step: AdamStep<'a>,
+}
+
+impl Work for Share<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let Share { kernels, whole, step } = self;
+        // Whole cache lines, so that no two threads write to the same one.
+        let AdamStep { params, m, v, grad, .. } = step;
+        let at = (16 * share(whole.div_ceil(16), part, parts)).min(params.len());
+        let (params, params_rest) = params.split_at_mut(at);
+        let (m, m_rest) = m.split_at_mut(at);
+        let (v, v_rest) = v.split_at_mut(at);
+        let (grad, grad_rest) = grad.split_at(at);
+        let rest = AdamStep { params: params_rest, m: m_rest, v: v_rest, grad: grad_rest, ..step };
+        let step = AdamStep { params, m, v, grad, ..rest };
+        (Share { kernels, whole, step }, Share { kernels, whole, step: rest })
+    }
+
+    fn run(self) {
+        self.kernels.run(self.step);
     }
 }
 
@@ -160,9 +202,9 @@ mod tests {
         let config = AdamConfig { beta2: 0.9, ..AdamConfig::default() };
         let mut adam = Adam::new(1);
         let mut params = [0.0];
-        adam.step(&config, Kernels::detect(), &mut params, &[1.0]);
+        adam.step(&config, Kernels::detect(), &Threads::default(), &mut params, &[1.0]);
         for _ in 0..1000 {
-            adam.step(&config, Kernels::detect(), &mut params, &[0.0]);
+            adam.step(&config, Kernels::detect(), &Threads::default(), &mut params, &[0.0]);
         }
         assert_eq!((adam.m[0], adam.v[0]), (0.0, 0.0));
         assert!(params[0] < 0.0 && params[0].is_finite());
@@ -190,15 +232,16 @@ mod tests {
             grads in prop::collection::vec(prop::collection::vec(-2.0f32..2.0, 37), 1..6), beta1 in 0.0f64..0.99,
         ) {
             let config = AdamConfig { lr: 0.01, beta1, ..AdamConfig::default() };
-            let run = |isa: Isa| {
+            let run = |isa: Isa, threads: usize| {
+                let threads = Threads::eager(threads);
                 let mut adam = Adam::new(37);
                 let mut params = vec![0.5; 37];
                 for grad in &grads {
-                    adam.step(&config, Kernels::new(isa).unwrap(), &mut params, grad);
+                    adam.step(&config, Kernels::new(isa).unwrap(), &threads, &mut params, grad);
                 }
                 (params, adam)
             };
-            let (params, adam) = run(Isa::Scalar);
+            let (params, adam) = run(Isa::Scalar, 1);
             prop_assert_eq!(adam.step, grads.len() as u64);
             for i in 0..37 {
                 let (mut p, mut m, mut v) = (0.5, 0.0, 0.0);
@@ -212,7 +255,10 @@ mod tests {
                 prop_assert!((f64::from(params[i]) - p).abs() < 2e-6, "{} {}", params[i], p);
             }
             for isa in Isa::available() {
-                prop_assert_eq!(&run(isa), &(params.clone(), adam.clone()), "{}", isa);
+                for threads in 1..4 {
+                    let got = run(isa, threads);
+                    prop_assert_eq!(&got, &(params.clone(), adam.clone()), "{}, {} threads", isa, threads);
+                }
             }
         }
     }

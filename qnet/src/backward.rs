@@ -1,15 +1,17 @@
 //! The gradient of a weighted sum of Q-values, or of anything of which the derivatives by all outputs are known.
 
+use crate::buffer::AlignedBuffer;
 use crate::kernels::{
     After, ByColumn, ByRow, ColumnSums, Fold, Gathered, Kernels, Left, OutputLayer, Product, Transpose,
     Within,
 };
-use crate::layout::{Layer, Layout};
-use crate::net::Workspace;
+use crate::layout::{Layer, Layout, MAX_LAYERS};
+use crate::net::{Places, Workspace, split_off};
+use crate::threads::{Work, share};
 
 /// Columns of a panel of transposed weights: a multiple of every tile's, and few enough for the panel to stay in the
 /// second-level cache.
-const PANEL: usize = 64;
+pub(crate) const PANEL: usize = 64;
 
 /// One term `dq * Q(x_row, action)` of the sum whose gradient [`backward`] takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,8 +61,8 @@ pub fn backward(
         ws.dq.push(term.dq);
     }
     output_layer(layout, params, ws, grad);
-    for l in (0..layout.layers().len() - 1).rev() {
-        hidden_layer(layout, params, ws, l, None, grad);
+    if let Some(top) = (layout.layers().len() - 1).checked_sub(1) {
+        layers_from(layout, params, ws, top, None, grad);
     }
 }
 
@@ -85,14 +87,10 @@ pub fn backward_outputs(
     assert_eq!(outputs.len(), ws.trained_rows * layout.output(), "derivatives by the outputs");
     ws.rows.clear();
     ws.rows.extend(0..ws.trained_rows as u32);
-    let last = layout.layers().len() - 1;
-    hidden_layer(layout, params, ws, last, Some(outputs), grad);
-    for l in (0..last).rev() {
-        hidden_layer(layout, params, ws, l, None, grad);
-    }
+    layers_from(layout, params, ws, layout.layers().len() - 1, Some(outputs), grad);
 }
 
-/// Gradient of the output layer; leaves the gradient of its input in `ws.delta[0]`.
+/// Gradient of the output layer; leaves the gradient of its input in `ws.deltas`.
 fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut [f32]) {
     let l = layout.layers().len() - 1;
     let layer = layout.layers()[l];
@@ -107,7 +105,7 @@ fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut 
         dq: &ws.dq,
         weights_t,
         grad_t: &mut ws.grad_t,
-        delta: (l > 0).then_some(&mut ws.delta[0][..]),
+        delta: ws.deltas.last_mut().map(|delta| &mut delta[..]),
     });
     ws.kernels.run(Transpose { x: &ws.grad_t, columns: layer.inputs, out: &mut grad[layer.weights()] });
     let bias = &mut grad[layer.bias()];
@@ -117,67 +115,235 @@ fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut 
     }
 }
 
-/// Gradient of layer `l` from the gradient of its output, `outputs` or else what is in `ws.delta[0]`; leaves the gradient
-/// of its input there.
-fn hidden_layer(
+/// Gradient of layer `top` and of all below it, from the gradient of its output: `outputs` or else what is in `ws.deltas`.
+///
+/// First the gradients of all layers' outputs, from the top down: threads share the rows. Then those of the weights, which are sums over
+/// all rows: threads share the rows of each weight matrix.
+fn layers_from(
     layout: &Layout,
     params: &[f32],
     ws: &mut Workspace,
-    l: usize,
+    top: usize,
     outputs: Option<&[f32]>,
     grad: &mut [f32],
 ) {
-    let layer = layout.layers()[l];
+    let layers = &layout.layers()[..=top];
     let n = ws.rows.len();
-    let (weights, bias) = grad[layer.weights().start..layer.bias().end].split_at_mut(layer.weights().len());
-    let [delta, next] = &mut ws.delta;
-    // An output layer may be wider than what `delta` holds.
-    let delta = outputs.unwrap_or_else(|| &delta[..n * layer.width_out()]);
-    let (kernels, input, columns) = (ws.kernels, &ws.inputs[l], layer.outputs);
-    kernels.run(ColumnSums { x: delta, out: bias });
-    let Some(places) = ws.convs.get_mut(l) else {
-        let left = ByColumn { x: input, width: layer.inputs, picked: &ws.rows };
-        kernels.run(product(layer.inputs, n, columns, left, delta, After::Keep, weights));
-        if l > 0 {
-            let (weights, after) =
-                (&params[layer.weights()], After::Gate { activations: input, picked: &ws.rows });
-            let next = &mut next[..n * layer.inputs];
-            // Panel by panel: transposed as a whole, a wide matrix is written all over the memory.
-            for first in (0..layer.inputs).step_by(PANEL) {
-                let width = PANEL.min(layer.inputs - first);
-                let panel = &mut ws.weights_t[..width * columns];
-                let x = &weights[first * columns..][..width * columns];
-                kernels.run(Transpose { x, columns, out: panel });
-                let whole = product(n, columns, width, ByRow(delta), panel, after, next);
-                kernels.run(Product { within: Within { pitch: layer.inputs, first }, ..whole });
-            }
-            ws.delta.swap(0, 1);
+    for (places, layer) in ws.convs.iter_mut().zip(layers) {
+        let each = layer.positions();
+        places.picked.clear();
+        for &row in &ws.rows {
+            places.picked.extend_from_slice(&places.bases[row as usize * each..][..each]);
         }
-        return;
-    };
-    let each = layer.positions();
-    places.picked.clear();
-    for &row in &ws.rows {
-        places.picked.extend_from_slice(&places.bases[row as usize * each..][..each]);
     }
-    let left = Gathered { x: input, rows: &places.offsets, inner: &places.picked };
-    kernels.run(product(layer.inputs, n * each, columns, left, delta, After::Keep, weights));
-    if let Some(conv) = layer.conv.filter(|_| l > 0) {
-        let weights_t = transposed(kernels, &layer, params, &mut ws.weights_t);
-        let patches = &mut ws.patches[..n * each * layer.inputs];
-        kernels.run(product(n * each, columns, layer.inputs, ByRow(delta), weights_t, After::Keep, patches));
-        kernels.run(Fold {
+    let pass = Pass { kernels: ws.kernels, layers, inputs: &ws.inputs, convs: &ws.convs };
+    if top > 0 {
+        let multiply_adds = n * layers[1..].iter().map(Layer::multiply_adds).sum::<usize>();
+        let mut deltas: [&mut [f32]; MAX_LAYERS] = Default::default();
+        for ((slice, delta), layer) in deltas.iter_mut().zip(&mut ws.deltas).zip(layers) {
+            *slice = &mut delta[..n * layer.width_out()];
+        }
+        let patches = n * most_patches(layers);
+        ws.threads.run(
+            multiply_adds,
+            Deltas {
+                pass,
+                whole: n,
+                rows: &ws.rows,
+                params,
+                outputs,
+                deltas,
+                patches: &mut ws.patches[..patches],
+                transposed: ws.transposed,
+                weights_t: &mut ws.weights_t,
+            },
+        );
+    }
+    let mut weights: [&mut [f32]; MAX_LAYERS] = Default::default();
+    let mut biases: [&mut [f32]; MAX_LAYERS] = Default::default();
+    let mut rest = grad;
+    for (layer, (weights, bias)) in layers.iter().zip(weights.iter_mut().zip(&mut biases)) {
+        (*weights, rest) = rest.split_at_mut(layer.weights().len());
+        (*bias, rest) = rest.split_at_mut(layer.outputs);
+    }
+    let multiply_adds = n * layers.iter().map(Layer::multiply_adds).sum::<usize>();
+    let deltas = &ws.deltas;
+    let rows = &ws.rows;
+    ws.threads.run(
+        multiply_adds,
+        Gradients { pass, rows, outputs, deltas, first: [0; MAX_LAYERS], weights, biases },
+    );
+}
+
+/// What both halves of the backward pass need.
+#[derive(Clone, Copy)]
+struct Pass<'a> {
+    kernels: Kernels,
+    /// The layers whose gradient is to be found.
+    layers: &'a [Layer],
+    inputs: &'a [AlignedBuffer],
+    convs: &'a [Places],
+}
+
+/// Numbers of one row under the kernels of the convolution that has most of them, of those that are not the first layer.
+fn most_patches(layers: &[Layer]) -> usize {
+    let patches = |layer: &Layer| layer.conv.map_or(0, |_| layer.positions() * layer.inputs);
+    layers[1..].iter().map(patches).max().unwrap_or(0)
+}
+
+/// The gradients of the outputs of all layers but the top one, for some of the terms' rows.
+struct Deltas<'a> {
+    pass: Pass<'a>,
+    /// Rows of all parts.
+    whole: usize,
+    rows: &'a [u32],
+    params: &'a [f32],
+    /// Gradient of the top layer's output, if it is not among `deltas`.
+    outputs: Option<&'a [f32]>,
+    deltas: [&'a mut [f32]; MAX_LAYERS],
+    patches: &'a mut [f32],
+    /// Room for so many transposed weights for each part.
+    transposed: usize,
+    weights_t: &'a mut [f32],
+}
+
+impl Work for Deltas<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let Deltas { pass, whole, params, transposed, deltas: mut rests, .. } = self;
+        let here = share(whole, part, parts);
+        let (rows, rows_rest) = self.rows.split_at(here);
+        let top = &pass.layers[pass.layers.len() - 1];
+        let outputs = self.outputs.map(|outputs| outputs.split_at(here * top.width_out()));
+        // The top layer has none there if it has `outputs`.
+        let widths = pass.layers.iter().take(pass.layers.len() - usize::from(outputs.is_some()));
+        let deltas = split_off(&mut rests, widths.map(|layer| here * layer.width_out()));
+        let (patches, patches_rest) = self.patches.split_at_mut(here * most_patches(pass.layers));
+        let (weights_t, weights_t_rest) = self.weights_t.split_at_mut(transposed);
+        let first = Deltas {
+            pass,
+            whole,
+            rows,
+            params,
+            outputs: outputs.map(|both| both.0),
+            deltas,
             patches,
-            bases: &places.bases[..n * each],
-            run: conv.kernel * conv.grid.channels,
-            runs: conv.kernel,
-            apart: conv.grid.width * conv.grid.channels,
-            width: layer.width_in(),
-            activations: input,
-            picked: &ws.rows,
-            out: next,
-        });
-        ws.delta.swap(0, 1);
+            transposed,
+            weights_t,
+        };
+        let rest = Deltas {
+            pass,
+            whole,
+            rows: rows_rest,
+            params,
+            outputs: outputs.map(|both| both.1),
+            deltas: rests,
+            patches: patches_rest,
+            transposed,
+            weights_t: weights_t_rest,
+        };
+        (first, rest)
+    }
+
+    fn run(mut self) {
+        let Pass { kernels, layers, inputs, convs } = self.pass;
+        let n = self.rows.len();
+        for (l, layer) in layers.iter().enumerate().skip(1).rev() {
+            let (below, above) = self.deltas.split_at_mut(l);
+            let next = &mut *below[l - 1];
+            let delta = self.outputs.filter(|_| l + 1 == layers.len()).unwrap_or(&*above[0]);
+            let (input, columns) = (&inputs[l], layer.outputs);
+            let Some((conv, places)) = layer.conv.zip(convs.get(l)) else {
+                let weights = &self.params[layer.weights()];
+                let after = After::Gate { activations: input, picked: self.rows };
+                // Panel by panel: transposed as a whole, a wide matrix is written all over the memory.
+                for first in (0..layer.inputs).step_by(PANEL) {
+                    let width = PANEL.min(layer.inputs - first);
+                    let panel = &mut self.weights_t[..width * columns];
+                    let x = &weights[first * columns..][..width * columns];
+                    kernels.run(Transpose { x, columns, out: panel });
+                    let whole = product(n, columns, width, ByRow(delta), panel, after, next);
+                    kernels.run(Product { within: Within { pitch: layer.inputs, first }, ..whole });
+                }
+                continue;
+            };
+            let each = layer.positions();
+            let weights_t = transposed(kernels, layer, self.params, self.weights_t);
+            let patches = &mut self.patches[..n * each * layer.inputs];
+            kernels.run(product(
+                n * each,
+                columns,
+                layer.inputs,
+                ByRow(delta),
+                weights_t,
+                After::Keep,
+                patches,
+            ));
+            kernels.run(Fold {
+                patches,
+                bases: &places.bases[..n * each],
+                run: conv.kernel * conv.grid.channels,
+                runs: conv.kernel,
+                apart: conv.grid.width * conv.grid.channels,
+                width: layer.width_in(),
+                activations: input,
+                picked: self.rows,
+                out: next,
+            });
+        }
+    }
+}
+
+/// The gradients of weights and biases, for some of the rows of each layer's weights.
+struct Gradients<'a> {
+    pass: Pass<'a>,
+    rows: &'a [u32],
+    /// Gradient of the top layer's output, if it is not among `deltas`.
+    outputs: Option<&'a [f32]>,
+    deltas: &'a [AlignedBuffer],
+    /// The first of the rows, of each layer.
+    first: [usize; MAX_LAYERS],
+    /// Gradient of these rows, `[..][outputs]`.
+    weights: [&'a mut [f32]; MAX_LAYERS],
+    /// Gradient of the biases, in the last part alone.
+    biases: [&'a mut [f32]; MAX_LAYERS],
+}
+
+impl Work for Gradients<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let Gradients { pass, rows, outputs, deltas, first, weights: mut rests, biases } = self;
+        let here = |layer: &Layer| share(layer.inputs, part, parts);
+        let weights = split_off(&mut rests, pass.layers.iter().map(|layer| here(layer) * layer.outputs));
+        let mut behind = first;
+        behind.iter_mut().zip(pass.layers).for_each(|(first, layer)| *first += here(layer));
+        let this = Gradients { pass, rows, outputs, deltas, first, weights, biases: Default::default() };
+        (this, Gradients { pass, rows, outputs, deltas, first: behind, weights: rests, biases })
+    }
+
+    fn run(self) {
+        let Pass { kernels, layers, inputs, convs } = self.pass;
+        let n = self.rows.len();
+        let parts = self.first.into_iter().zip(self.weights).zip(self.biases);
+        for ((l, layer), ((first, weights), bias)) in layers.iter().enumerate().zip(parts) {
+            let delta = match self.outputs {
+                Some(outputs) if l + 1 == layers.len() => outputs,
+                _ => &self.deltas[l][..n * layer.width_out()],
+            };
+            if !bias.is_empty() {
+                kernels.run(ColumnSums { x: delta, out: bias });
+            }
+            let (input, columns, rows) = (&inputs[l], layer.outputs, weights.len() / layer.outputs);
+            match convs.get(l) {
+                None => {
+                    let left = ByColumn { x: &input[first..], width: layer.inputs, picked: self.rows };
+                    kernels.run(product(rows, n, columns, left, delta, After::Keep, weights));
+                }
+                Some(places) => {
+                    let left = Gathered { x: input, rows: &places.offsets[first..], inner: &places.picked };
+                    let inner = n * layer.positions();
+                    kernels.run(product(rows, inner, columns, left, delta, After::Keep, weights));
+                }
+            }
+        }
     }
 }
 
@@ -213,6 +379,7 @@ mod tests {
     use crate::layout::init;
     use crate::layout::testing::{layouts, places};
     use crate::net::{forward, forward_train};
+    use crate::threads::Threads;
 
     struct Case {
         layout: Layout,
@@ -235,10 +402,15 @@ mod tests {
     }
 
     fn gradient(case: &Case, isa: Isa) -> Vec<f32> {
+        shared_gradient(case, isa, 1)
+    }
+
+    fn shared_gradient(case: &Case, isa: Isa, threads: usize) -> Vec<f32> {
         let Case { layout, params, x, terms } = case;
         let rows = x.len() / layout.input();
         let kernels = Kernels::new(isa).unwrap();
-        let mut ws = Workspace::with_kernels(layout, rows.max(terms.len()).max(1), kernels);
+        let mut ws = Workspace::with_kernels(layout, rows.max(terms.len()).max(1), kernels)
+            .with_threads(Threads::eager(threads));
         let mut q = vec![0.0; rows * layout.output()];
         forward_train(layout, params, x, rows, &mut ws, &mut q);
         // Neither another forward pass nor leftovers of an earlier gradient may matter.
@@ -312,7 +484,10 @@ mod tests {
             }
             for isa in Isa::available() {
                 let bits = |grad: &[f32]| grad.iter().map(|g| g.to_bits()).collect::<Vec<u32>>();
-                prop_assert_eq!(bits(&gradient(&case, isa)), bits(&grad), "{}", isa);
+                for threads in 1..4 {
+                    let shared = shared_gradient(&case, isa, threads);
+                    prop_assert_eq!(bits(&shared), bits(&grad), "{}, {} threads", isa, threads);
+                }
             }
         }
     }
@@ -335,7 +510,9 @@ mod tests {
             let largest = exact.iter().fold(0.1, |max: f64, g| max.max(g.abs()));
             let mut first: Option<Vec<u32>> = None;
             for isa in Isa::available() {
-                let mut ws = Workspace::with_kernels(&case.layout, rows, Kernels::new(isa).unwrap());
+                let threads = Threads::eager(1 + seed as usize % 3);
+                let mut ws = Workspace::with_kernels(&case.layout, rows, Kernels::new(isa).unwrap())
+                    .with_threads(threads);
                 let mut q = vec![0.0; rows * n_actions];
                 forward_train(&case.layout, &case.params, &case.x, rows, &mut ws, &mut q);
                 let mut grad = vec![f32::NAN; case.layout.n_params()];

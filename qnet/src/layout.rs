@@ -171,6 +171,11 @@ impl Layer {
         self.positions() * self.outputs
     }
 
+    /// Multiply-adds for one input of the network.
+    pub(crate) fn multiply_adds(&self) -> usize {
+        self.positions() * self.weights().len()
+    }
+
     /// Where the bias lies, `[outputs]`; directly behind the weights.
     pub fn bias(&self) -> Range<usize> {
         let start = self.offset + self.inputs * self.outputs;

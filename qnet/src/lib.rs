@@ -7,6 +7,7 @@
 //! * [`forward`], [`forward_train`], [`backward()`], [`backward_outputs`]: values, and the gradient of any weighted sum of
 //!   them, or of a loss of whole rows;
 //! * [`Loss`], [`Adam`], [`clip_grad_norm`]: from values and targets to the next parameters;
+//! * [`Threads`]: several threads that share the work of a step, with the same bits;
 //! * [`QNetwork`]: the online and the target parameters, held in candle tensors;
 //! * [`network_of`], [`kernels_of`]: the shape and the instruction set that an experiment asks for;
 //! * [`autodiff`]: the same loss and gradient through candle's automatic differentiation.
@@ -23,6 +24,7 @@ pub mod loss;
 pub mod net;
 pub mod qnetwork;
 pub mod run;
+pub mod threads;
 
 mod backward;
 mod buffer;
@@ -36,4 +38,5 @@ pub use layout::{Conv, Grid, Layer, Layout, LayoutError, init};
 pub use loss::{Loss, LossError};
 pub use net::{Workspace, argmax, forward, forward_train};
 pub use qnetwork::{NetworkError, QNetwork};
-pub use run::{PlanError, kernels_of, network_of};
+pub use run::{PlanError, kernels_of, network_of, threads_of};
+pub use threads::{Threads, ThreadsError};

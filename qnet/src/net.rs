@@ -1,14 +1,17 @@
 //! Values of a network: the forward pass, for acting and for training.
 
+use crate::backward::PANEL;
 use crate::buffer::AlignedBuffer;
 use crate::kernels::{After, ByRow, Gathered, Kernels, NarrowProduct, Product, Within};
-use crate::layout::{Layer, Layout};
+use crate::layout::{Layer, Layout, MAX_LAYERS};
+use crate::threads::{Threads, Work, share};
 
 /// Scratch memory for networks of one layout and batches up to a fixed number of rows.
 ///
-/// All of it is allocated on construction; no function of this crate that takes a workspace allocates. Its
-/// size is `max_rows` times (input + all hidden widths + four times the widest of them, and all numbers under the kernels of a
-/// convolution that is not the first layer) plus at most twice the largest weight matrix, in `f32`.
+/// All of it is allocated on construction; no function of this crate that takes a workspace allocates, unless several threads share its
+/// work. Its size is `max_rows` times (input + twice all hidden widths + twice the widest of them, and all numbers under the kernels of
+/// convolutions that are not the first layer), plus the largest weight matrix behind the first layer for the output layer or a convolution
+/// and 64 of its rows for another layer, once for each thread, plus the output layer's weights, in `f32`.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     pub(crate) kernels: Kernels,
@@ -21,14 +24,17 @@ pub struct Workspace {
     /// Hidden layers of [`forward`], in turns: apart from `inputs`, so that a forward pass of the target
     /// network may come between [`forward_train`] and [`crate::backward()`].
     hidden: [AlignedBuffer; 2],
-    /// Gradients of hidden layers in turns.
-    pub(crate) delta: [AlignedBuffer; 2],
+    /// Gradient of the output of each layer but the last, a row for each term.
+    pub(crate) deltas: Vec<AlignedBuffer>,
     /// Where the numbers under the kernels lie, for each convolution.
     pub(crate) convs: Vec<Places>,
     /// Gradient of the numbers under the kernel, at each position of each row.
     pub(crate) patches: AlignedBuffer,
-    /// A layer's weights, transposed.
+    /// The threads that share the work.
+    pub(crate) threads: Threads,
+    /// Weights of a layer, transposed: room for `transposed` of them for each thread.
     pub(crate) weights_t: AlignedBuffer,
+    pub(crate) transposed: usize,
     /// Gradient of the output layer's weights, transposed.
     pub(crate) grad_t: AlignedBuffer,
     /// The gradient's rows, field by field.
@@ -75,9 +81,16 @@ impl Workspace {
         assert!(max_rows > 0 && u32::try_from(max_rows * widest).is_ok(), "max_rows is {max_rows}");
         let rows_of = |width: usize| AlignedBuffer::new(max_rows * width);
         let hidden = layout.max_hidden();
-        let weights = |layer: &Layer| layer.weights().len();
         let patches = |layer: &Layer| layer.conv.map_or(0, |_| layer.positions() * layer.inputs);
         let layers = layout.layers();
+        let last = layers.len() - 1;
+        let transposed = |(l, layer): (usize, &Layer)| match layer.conv {
+            None if l < last => PANEL.min(layer.inputs) * layer.outputs,
+            _ => layer.weights().len(),
+        };
+        // Each thread's share begins at a cache line.
+        let transposed =
+            layers.iter().enumerate().skip(1).map(transposed).max().unwrap_or(0).next_multiple_of(16);
         Workspace {
             kernels,
             layout: layout.clone(),
@@ -85,15 +98,29 @@ impl Workspace {
             inputs: layers.iter().map(|layer| rows_of(layer.width_in())).collect(),
             trained_rows: 0,
             hidden: [rows_of(hidden), rows_of(hidden)],
-            delta: [rows_of(hidden), rows_of(hidden)],
+            deltas: layers[..last].iter().map(|layer| rows_of(layer.width_out())).collect(),
             convs: layers.iter().map_while(|layer| Places::new(layer, max_rows)).collect(),
             patches: rows_of(layers[1..].iter().map(patches).max().unwrap_or(0)),
-            weights_t: AlignedBuffer::new(layers[1..].iter().map(weights).max().unwrap_or(0)),
-            grad_t: AlignedBuffer::new(layers.last().map_or(0, weights)),
+            threads: Threads::default(),
+            weights_t: AlignedBuffer::new(transposed),
+            transposed,
+            grad_t: AlignedBuffer::new(layers.last().map_or(0, |layer| layer.weights().len())),
             rows: Vec::with_capacity(max_rows),
             actions: Vec::with_capacity(max_rows),
             dq: Vec::with_capacity(max_rows),
         }
+    }
+
+    /// The same, with `threads` that share the work of passes in which each has enough to do. The bits are those of one thread.
+    pub fn with_threads(mut self, threads: Threads) -> Workspace {
+        self.weights_t = AlignedBuffer::new(threads.count() * self.transposed);
+        self.threads = threads;
+        self
+    }
+
+    /// The threads that share the work.
+    pub fn threads(&self) -> &Threads {
+        &self.threads
     }
 
     /// The largest number of rows.
@@ -125,14 +152,62 @@ impl Workspace {
 /// If a slice has another length, `rows` is 0 or above the workspace's, or the workspace has another layout.
 pub fn forward(layout: &Layout, params: &[f32], x: &[f32], rows: usize, ws: &mut Workspace, out: &mut [f32]) {
     ws.check(layout, params, x, rows, out);
-    let last = layout.layers().len() - 1;
+    let width = layout.max_hidden();
     let [from, to] = &mut ws.hidden;
-    let (mut from, mut to) = (from, to);
-    for (l, layer) in layout.layers().iter().enumerate() {
-        let input = if l == 0 { x } else { &from[..rows * layer.width_in()] };
-        let output = if l == last { &mut *out } else { &mut to[..] };
-        apply(ws.kernels, layer, ws.convs.get(l), params, input, rows, l < last, output);
-        std::mem::swap(&mut from, &mut to);
+    let hidden = [&mut from[..rows * width], &mut to[..rows * width]];
+    let net = Net { kernels: ws.kernels, layout, params, convs: &ws.convs };
+    ws.threads.run(net.multiply_adds(rows), Values { net, whole: rows, rows, x, hidden, out });
+}
+
+/// A network, as the threads that share its work see it.
+#[derive(Clone, Copy)]
+struct Net<'a> {
+    kernels: Kernels,
+    layout: &'a Layout,
+    params: &'a [f32],
+    convs: &'a [Places],
+}
+
+impl Net<'_> {
+    /// Multiply-adds of a forward pass of `rows` rows.
+    fn multiply_adds(&self, rows: usize) -> usize {
+        rows * self.layout.layers().iter().map(Layer::multiply_adds).sum::<usize>()
+    }
+}
+
+/// A forward pass of some rows that keeps nothing.
+struct Values<'a> {
+    net: Net<'a>,
+    /// Rows of all parts.
+    whole: usize,
+    rows: usize,
+    x: &'a [f32],
+    hidden: [&'a mut [f32]; 2],
+    out: &'a mut [f32],
+}
+
+impl Work for Values<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let Values { net, whole, rows, x, hidden: [from, to], out } = self;
+        let (layout, here) = (net.layout, share(whole, part, parts));
+        let (x, x_rest) = x.split_at(here * layout.input());
+        let (from, from_rest) = from.split_at_mut(here * layout.max_hidden());
+        let (to, to_rest) = to.split_at_mut(here * layout.max_hidden());
+        let (out, out_rest) = out.split_at_mut(here * layout.output());
+        let first = Values { net, whole, rows: here, x, hidden: [from, to], out };
+        let hidden = [from_rest, to_rest];
+        (first, Values { net, whole, rows: rows - here, x: x_rest, hidden, out: out_rest })
+    }
+
+    fn run(self) {
+        let Values { net, rows, x, hidden: [mut from, mut to], out, .. } = self;
+        let last = net.layout.layers().len() - 1;
+        for (l, layer) in net.layout.layers().iter().enumerate() {
+            let input = if l == 0 { x } else { &from[..rows * layer.width_in()] };
+            let output = if l == last { &mut *out } else { &mut to[..rows * layer.width_out()] };
+            apply(net, l, input, rows, output);
+            std::mem::swap(&mut from, &mut to);
+        }
     }
 }
 
@@ -151,27 +226,61 @@ pub fn forward_train(
     ws.check(layout, params, x, rows, out);
     ws.inputs[0][..x.len()].copy_from_slice(x);
     ws.trained_rows = rows;
-    let last = layout.layers().len() - 1;
-    for (l, layer) in layout.layers().iter().enumerate() {
-        let (done, ahead) = ws.inputs.split_at_mut(l + 1);
-        let output = if l == last { &mut *out } else { &mut ahead[0][..] };
-        let input = &done[l][..rows * layer.width_in()];
-        apply(ws.kernels, layer, ws.convs.get(l), params, input, rows, l < last, output);
+    let mut inputs: [&mut [f32]; MAX_LAYERS] = Default::default();
+    for ((slice, input), layer) in inputs.iter_mut().zip(&mut ws.inputs).zip(layout.layers()) {
+        *slice = &mut input[..rows * layer.width_in()];
+    }
+    let net = Net { kernels: ws.kernels, layout, params, convs: &ws.convs };
+    ws.threads.run(net.multiply_adds(rows), KeptValues { net, whole: rows, rows, inputs, out });
+}
+
+/// A forward pass of some rows that keeps the input of every layer.
+struct KeptValues<'a> {
+    net: Net<'a>,
+    /// Rows of all parts.
+    whole: usize,
+    rows: usize,
+    inputs: [&'a mut [f32]; MAX_LAYERS],
+    out: &'a mut [f32],
+}
+
+impl Work for KeptValues<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let KeptValues { net, whole, rows, inputs: mut rests, out } = self;
+        let here = share(whole, part, parts);
+        let inputs = split_off(&mut rests, net.layout.layers().iter().map(|layer| here * layer.width_in()));
+        let (out, out_rest) = out.split_at_mut(here * net.layout.output());
+        let first = KeptValues { net, whole, rows: here, inputs, out };
+        (first, KeptValues { net, whole, rows: rows - here, inputs: rests, out: out_rest })
+    }
+
+    fn run(self) {
+        let KeptValues { net, rows, mut inputs, out, .. } = self;
+        let last = net.layout.layers().len() - 1;
+        for l in 0..=last {
+            let (done, ahead) = inputs.split_at_mut(l + 1);
+            let output = if l == last { &mut *out } else { &mut *ahead[0] };
+            apply(net, l, &*done[l], rows, output);
+        }
     }
 }
 
-/// One layer on `rows` rows; a convolution at its `places`.
-#[allow(clippy::too_many_arguments)]
-fn apply(
-    kernels: Kernels,
-    layer: &Layer,
-    places: Option<&Places>,
-    params: &[f32],
-    input: &[f32],
-    rows: usize,
-    relu: bool,
-    output: &mut [f32],
-) {
+/// Takes as many numbers as `lengths` say off the front of each of `slices`, and returns them.
+pub(crate) fn split_off<'a>(
+    slices: &mut [&'a mut [f32]; MAX_LAYERS],
+    lengths: impl Iterator<Item = usize>,
+) -> [&'a mut [f32]; MAX_LAYERS] {
+    let mut firsts: [&'a mut [f32]; MAX_LAYERS] = Default::default();
+    for ((first, slice), length) in firsts.iter_mut().zip(slices).zip(lengths) {
+        (*first, *slice) = std::mem::take(slice).split_at_mut(length);
+    }
+    firsts
+}
+
+/// Layer `l` on `rows` rows; a convolution at its places.
+fn apply(net: Net<'_>, l: usize, input: &[f32], rows: usize, output: &mut [f32]) {
+    let Net { kernels, layout, params, convs } = net;
+    let (layer, relu) = (&layout.layers()[l], l + 1 < layout.layers().len());
     // Whether the layer is the last one, not how many rows there are: a row's bits must not depend on the others.
     if !relu && layer.outputs <= NarrowProduct::COLUMNS {
         return kernels.run(NarrowProduct {
@@ -186,7 +295,7 @@ fn apply(
     let after = if relu { After::Relu } else { After::Keep };
     let (inner, columns, out) = (layer.inputs, layer.outputs, output);
     let within = Within::all(columns);
-    match places {
+    match convs.get(l) {
         None => {
             kernels.run(Product { rows, inner, columns, left: ByRow(input), right, bias, after, out, within })
         }
@@ -268,6 +377,15 @@ mod tests {
                 let single = &mut out[..layout.output()];
                 forward(&layout, &params, &x[..layout.input()], 1, &mut ws, single);
                 prop_assert_eq!(&*single, &expected[..layout.output()], "{}", isa);
+                for threads in [2, 3] {
+                    let mut ws = ws.clone().with_threads(Threads::eager(threads));
+                    out.fill(f32::NAN);
+                    forward(&layout, &params, &x, rows, &mut ws, &mut out);
+                    prop_assert_eq!(&out, &expected, "{}, {} threads", isa, threads);
+                    out.fill(f32::NAN);
+                    forward_train(&layout, &params, &x, rows, &mut ws, &mut out);
+                    prop_assert_eq!(&out, &expected, "{}, {} threads", isa, threads);
+                }
             }
         }
 

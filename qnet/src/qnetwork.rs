@@ -11,6 +11,7 @@ use candle_core::{CpuStorage, Device, InplaceOp1, Storage, Tensor, Var};
 
 use crate::kernels::{Blend, Kernels};
 use crate::layout::Layout;
+use crate::threads::{Threads, Work, share};
 
 /// Why a network could not be made, loaded or used.
 #[derive(Debug, thiserror::Error)]
@@ -120,14 +121,18 @@ impl QNetwork {
     }
 
     /// Moves the target network towards the online one: `target = tau * online + (1 - tau) * target`, `tau`
-    /// from 0 to 1.
+    /// from 0 to 1. `threads` share the work.
     ///
     /// # Errors
     /// As [`QNetwork::with_params`].
-    pub fn polyak_update(&mut self, tau: f32) -> Result<(), NetworkError> {
+    pub fn polyak_update(&mut self, tau: f32, threads: &Threads) -> Result<(), NetworkError> {
         let (online, _) = self.online.storage_and_layout();
         let online = flat(&online)?;
-        in_place(&self.target_handle, |target| self.kernels.run(Blend { x: target, y: online, share: tau }))
+        let (kernels, whole) = (self.kernels, online.len());
+        in_place(&self.target_handle, |target| {
+            let blend = Blend { x: target, y: online, share: tau };
+            threads.run(whole * AS_MULTIPLY_ADDS, Share { kernels, whole, blend });
+        })
     }
 
     /// Replaces the parameters of both networks, as from a checkpoint. Nothing changes if either is refused.
@@ -139,6 +144,31 @@ impl QNetwork {
         check(&self.layout, "target", target)?;
         in_place(&self.online_handle, |params| params.copy_from_slice(online))?;
         in_place(&self.target_handle, |params| params.copy_from_slice(target))
+    }
+}
+
+/// What blending one parameter costs, in multiply-adds of a matrix product: it is a matter of memory.
+const AS_MULTIPLY_ADDS: usize = 16;
+
+/// The blending of some of the parameters.
+struct Share<'a> {
+    kernels: Kernels,
+    /// Parameters of all parts.
+    whole: usize,
+    blend: Blend<'a>,
+}
+
+impl Work for Share<'_> {
+    fn split(self, part: usize, parts: usize) -> (Self, Self) {
+        let Share { kernels, whole, blend: Blend { x, y, share: tau } } = self;
+        let at = share(whole, part, parts);
+        let ((x, x_rest), (y, y_rest)) = (x.split_at_mut(at), y.split_at(at));
+        let of = |x, y| Share { kernels, whole, blend: Blend { x, y, share: tau } };
+        (of(x, y), of(x_rest, y_rest))
+    }
+
+    fn run(self) {
+        self.kernels.run(self.blend);
     }
 }
 
@@ -223,11 +253,11 @@ mod tests {
     fn the_target_follows() {
         let mut network = network();
         network.update(|params| params.fill(5.0)).unwrap();
-        network.polyak_update(0.25).unwrap();
+        network.polyak_update(0.25, &Threads::default()).unwrap();
         assert_eq!(network.target().to_vec1::<f32>().unwrap(), [2.0, 2.75, 3.5, 4.25]);
-        network.polyak_update(0.0).unwrap();
+        network.polyak_update(0.0, &Threads::default()).unwrap();
         assert_eq!(network.target().to_vec1::<f32>().unwrap(), [2.0, 2.75, 3.5, 4.25]);
-        network.polyak_update(1.0).unwrap();
+        network.polyak_update(1.0, &Threads::default()).unwrap();
         assert_eq!(network.target().to_vec1::<f32>().unwrap(), [5.0; 4]);
         network.update(|params| params.fill(6.0)).unwrap();
         network.hard_update().unwrap();

@@ -3,6 +3,7 @@
 use crate::encode::{Encoding, EncodingError};
 use crate::kernels::{Isa, Kernels};
 use crate::layout::{Grid, Layout, LayoutError};
+use crate::threads::{Threads, ThreadsError};
 use trestle_proto::config::{Channels, EncodingKind, IsaKind};
 use trestle_proto::experiment::Experiment;
 
@@ -43,6 +44,9 @@ pub enum PlanError {
         /// What the network sees instead.
         why: &'static str,
     },
+    /// Threads that cannot be started.
+    #[error(transparent)]
+    Threads(#[from] ThreadsError),
     /// An instruction set that this machine lacks.
     #[error("run.isa = {asked}; accepted on this machine: auto, {available}")]
     Isa {
@@ -106,4 +110,12 @@ pub fn kernels_of(experiment: &Experiment) -> Result<Kernels, PlanError> {
         let available: Vec<String> = Isa::available().map(|isa| isa.to_string()).collect();
         PlanError::Isa { asked, available: available.join(", ") }
     })
+}
+
+/// The threads that share a gradient step of `experiment`'s network.
+///
+/// # Errors
+/// One of them cannot be started.
+pub fn threads_of(experiment: &Experiment) -> Result<Threads, PlanError> {
+    Ok(Threads::new(experiment.config.learner.threads)?)
 }

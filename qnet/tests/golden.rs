@@ -7,8 +7,8 @@
 
 use serde_json::Value;
 use trestle_qnet::{
-    Adam, AdamConfig, Encoding, Grid, Isa, Kernels, Layout, Loss, QNetwork, RowGrad, Workspace, argmax,
-    autodiff, backward, clip_grad_norm, forward, forward_train,
+    Adam, AdamConfig, Encoding, Grid, Isa, Kernels, Layout, Loss, QNetwork, RowGrad, Threads, Workspace,
+    argmax, autodiff, backward, clip_grad_norm, forward, forward_train,
 };
 
 const GOLDEN: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/dqn_step.json"));
@@ -122,7 +122,7 @@ fn check(case: &Value, golden: &Value, kernels: Kernels, candle: bool) {
                 if let Some(max_norm) = max_norm {
                     norms.push(clip_grad_norm(kernels, &mut grad, max_norm as f32));
                 }
-                adam.step(&config, kernels, params, &grad);
+                adam.step(&config, kernels, &Threads::default(), params, &grad);
             })
             .unwrap();
         let params = network.online().to_vec1::<f32>().unwrap();
@@ -212,7 +212,7 @@ fn check_conv(case: &Value, golden: &Value, kernels: Option<Kernels>) {
                     let terms: Vec<RowGrad> = (0..rows).map(term).collect();
                     backward(&layout, params, &mut ws, &terms, &mut grad);
                 }
-                adam.step(&config, own, params, &grad);
+                adam.step(&config, own, &Threads::default(), params, &grad);
             })
             .unwrap();
         let params = network.online().to_vec1::<f32>().unwrap();

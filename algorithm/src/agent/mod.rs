@@ -48,7 +48,7 @@ use trestle_proto::experiment::Experiment;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::rng::{Purpose, Stream, stream};
 use trestle_proto::space::Success;
-use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of};
+use trestle_qnet::{Adam, AdamConfig, Encoding, Loss, QNetwork, init, kernels_of, network_of, threads_of};
 
 /// All that learns. See the module for how it is used.
 #[derive(Debug)]
@@ -177,7 +177,7 @@ impl Agent {
         }
         let network = QNetwork::new(layout.clone(), &acting.weights)?.with_kernels(kernels);
         Ok(Self {
-            step: Step::new(&layout, settings.learner.batch, kernels),
+            step: Step::new(&layout, settings.learner.batch, kernels, threads_of(experiment)?),
             adam: Adam::new(layout.n_params()),
             replay: Replay::new(settings.learner.replay, experiment.spec.row())?,
             network,

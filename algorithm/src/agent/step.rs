@@ -5,7 +5,7 @@ use super::terms::Terms;
 use super::{Agent, AgentError, TrainStats};
 use crate::rivals::Shown;
 use trestle_proto::config::{Backend, TargetKind};
-use trestle_qnet::{AlignedBuffer, Kernels, Layout, Workspace, backward, clip_grad_norm};
+use trestle_qnet::{AlignedBuffer, Kernels, Layout, Threads, Workspace, backward, clip_grad_norm};
 
 /// The memory of a gradient step, allocated once.
 #[derive(Debug)]
@@ -19,12 +19,12 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// Memory for batches of up to `batch` samples.
-    pub(super) fn new(layout: &Layout, batch: usize, kernels: Kernels) -> Self {
+    /// Memory for batches of up to `batch` samples, which `threads` share.
+    pub(super) fn new(layout: &Layout, batch: usize, kernels: Kernels, threads: Threads) -> Self {
         Self {
             samples: Samples::new(layout, batch),
             terms: Terms::new(layout, batch),
-            workspace: Workspace::with_kernels(layout, 2 * batch, kernels),
+            workspace: Workspace::with_kernels(layout, 2 * batch, kernels).with_threads(threads),
             gradient: AlignedBuffer::new(layout.n_params()),
         }
     }
@@ -89,13 +89,13 @@ impl Agent {
     /// θ by one step of Adam against g, whose norm may be clipped.
     fn descend(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
         let (adam, settings, gradient) = (&mut self.adam, &self.settings, &mut self.step.gradient);
-        let kernels = self.step.workspace.kernels();
+        let (kernels, threads) = (self.step.workspace.kernels(), self.step.workspace.threads());
         let max_norm = settings.learner.max_grad_norm as f32;
         self.network.update(|theta| {
             if max_norm > 0.0 {
                 stats.grad_norm_sum += f64::from(clip_grad_norm(kernels, gradient, max_norm));
             }
-            adam.step(&settings.adam, kernels, theta, gradient);
+            adam.step(&settings.adam, kernels, threads, theta, gradient);
         })?;
         self.counters.grad_steps += 1;
         Ok(())
@@ -105,7 +105,9 @@ impl Agent {
     fn follow(&mut self) -> Result<(), AgentError> {
         let learner = &self.settings.learner;
         match learner.target {
-            TargetKind::Polyak => self.network.polyak_update(self.settings.tau)?,
+            TargetKind::Polyak => {
+                self.network.polyak_update(self.settings.tau, self.step.workspace.threads())?
+            }
             TargetKind::Hard if self.counters.grad_steps.is_multiple_of(learner.target_every) => {
                 self.network.hard_update()?;
             }

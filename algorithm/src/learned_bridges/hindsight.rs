@@ -114,8 +114,9 @@ impl Hindsight {
     pub fn update(&mut self, replay: &Replay) -> Option<f64> {
         self.sample(replay);
         let loss = self.differentiate(replay)?;
-        let (config, kernels) = (&self.config.adam, self.workspace.kernels());
-        self.state.adam.step(config, kernels, &mut self.state.params, &self.grad);
+        let (config, kernels, threads) =
+            (&self.config.adam, self.workspace.kernels(), self.workspace.threads());
+        self.state.adam.step(config, kernels, threads, &mut self.state.params, &self.grad);
         Some(loss)
     }
 

@@ -116,8 +116,8 @@ impl Gaifo {
     /// One update from what `replay` holds. Returns the loss, in nats; none where nothing is stored.
     pub fn update(&mut self, replay: &Replay) -> Option<f64> {
         let loss = self.differentiate(replay)?;
-        let kernels = self.workspace.kernels();
-        self.state.adam.step(&self.adam, kernels, &mut self.state.params, &self.grad);
+        let (kernels, threads) = (self.workspace.kernels(), self.workspace.threads());
+        self.state.adam.step(&self.adam, kernels, threads, &mut self.state.params, &self.grad);
         Some(loss)
     }
 

@@ -72,6 +72,7 @@ pub fn fingerprint(experiment: &Experiment) -> String {
         config.run.mode = Mode::Lockstep;
     }
     config.run.stop_when_solved = false;
+    config.learner.threads = 1;
     let mut config = serde_json::json!(config);
     // Not by their defaults, which change with every key that is added.
     for part in ["/eval", "/checkpoint", "/supervise", "/env/hazard"] {

@@ -225,13 +225,14 @@ fn another_configuration_or_demonstration_is_refused_and_higher_limits_are_not()
 #[test]
 fn what_does_not_change_the_agent_is_no_part_of_the_fingerprint() {
     let usual = plan(&[]);
-    let parts: [&[&str]; 6] = [
+    let parts: [&[&str]; 7] = [
         &["env.hazard.kind=abort", "env.hazard.after=700"],
         &["eval.every=7"],
         &["checkpoint.keep=9"],
         &["supervise.restarts=77"],
         &["run.env_steps=1234"],
         &["run.stop_when_solved=true"],
+        &["learner.threads=3"],
     ];
     for part in parts {
         let other = plan(part);

@@ -2,7 +2,7 @@
 
 use super::accepts::{Accepts, above, above_up_to, at_least, below, between, list};
 use super::conv::ConvLayer;
-use crate::limits::{MAX_N_STEP, MAX_REPLAY, MAX_SIZES, MAX_WIDTH};
+use crate::limits::{MAX_N_STEP, MAX_REPLAY, MAX_SIZES, MAX_THREADS, MAX_WIDTH};
 use crate::{choices, settings};
 
 settings! {
@@ -105,6 +105,9 @@ settings! {
         huber_delta: f64 = 1.0, above(0.0);
         /// What computes the gradient.
         backend: Backend = Backend::Kernels;
+        /// With `backend = "kernels"`: threads that share a gradient step of the Q-network, where it is large enough for that to be
+        /// faster; no more than there are processors. The results are the same to the bit for any number.
+        threads: usize = 1, between(1, MAX_THREADS);
     }
 }
 

@@ -5,6 +5,7 @@
 mod allocations;
 mod counts;
 mod gradient;
+mod grids;
 
 use super::Agent;
 use crate::testing::{N_ACTIONS, World, demonstration, experiment};
