@@ -26,8 +26,10 @@ pub(super) enum Found {
     Object(String, u64),
     /// Nothing, and no link either.
     Nothing,
-    /// The link at the first path leads nowhere that is read: what it is, in words.
+    /// The link at the first path leads into another file, or to what only the format's own library knows: what it is, in words.
     Unread(String, String),
+    /// The link at the first path leads nowhere.
+    Dead(String, String),
 }
 
 type Names = Rc<BTreeMap<String, Link>>;
@@ -86,7 +88,7 @@ impl Finder {
                 let (own, target) = link_at;
                 return match of_target {
                     0 => Found::Nothing,
-                    _ => Found::Unread(own, format!("a soft link to `{target}`, which is not in the file")),
+                    _ => Found::Dead(own, format!("a soft link to `{target}`, which is not in the file")),
                 };
             };
             let within = of_target > 0;
@@ -104,7 +106,7 @@ impl Finder {
                         link_at = (own(), target.clone());
                     }
                     if followed > MAX_FOLLOWED {
-                        return Found::Unread(own(), "a soft link that leads to itself".into());
+                        return Found::Dead(own(), "a soft link that leads to itself".into());
                     }
                     if target.starts_with('/') {
                         at.clear();

@@ -102,12 +102,12 @@ impl Source {
         match self.finder.find(path) {
             Found::Object(real, _) => Ok(Some(real).filter(|real| real != path.trim_matches('/'))),
             Found::Nothing => Ok(None),
-            Found::Unread(own, what) => Err(self.unread(&own, what)),
+            Found::Unread(own, what) => {
+                let kind = format!("a file in which `{own}` is {what}");
+                Err(self.place().foreign(kind, copied(&self.path, "")))
+            }
+            Found::Dead(own, what) => Err(self.place().refuse(own, what, "a link to something in it")),
         }
-    }
-
-    fn unread(&self, own: &str, what: String) -> ImportError {
-        self.place().foreign(format!("a file in which `{own}` is {what}"), copied(&self.path, ""))
     }
 
     /// Refuses links of the group at `path` that lead nowhere that is read, if `wanted` wants what is called so.
