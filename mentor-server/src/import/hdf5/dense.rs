@@ -3,6 +3,7 @@
 
 use super::objects::{Objects, little, word};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 /// How high a B-tree, and how deep a heap's blocks within blocks, at the most.
 const MAX_DEPTH: usize = 16;
@@ -106,13 +107,16 @@ impl Heap {
             let size = self.size(row)?;
             let before = if row == 0 { 0 } else { of_first.checked_mul(1_u64.checked_shl(row - 1)?)? };
             let column = (within - before) / size;
-            if !known.contains_key(&address) {
-                let entries = usize::try_from(u64::from(rows).checked_mul(self.width)?).ok()?;
-                let bytes = file.bytes(address, 13 + self.place + 8 * entries.min(1 << 16))?;
-                known.insert(address, bytes.starts_with(b"FHIB\0").then_some(bytes)?);
-            }
+            let bytes = match known.entry(address) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(unknown) => {
+                    let entries = usize::try_from(u64::from(rows).checked_mul(self.width)?).ok()?;
+                    let bytes = file.bytes(address, 13 + self.place + 8 * entries.min(1 << 16))?;
+                    unknown.insert(bytes.starts_with(b"FHIB\0").then_some(bytes)?)
+                }
+            };
             let nth = usize::try_from(u64::from(row) * self.width + column).ok()?;
-            let next = word(known.get(&address)?, 13 + self.place + 8 * nth)?;
+            let next = word(bytes, 13 + self.place + 8 * nth)?;
             start = start.checked_add(before)?.checked_add(column.checked_mul(size)?)?;
             address = next;
             if row < self.direct_rows {
