@@ -240,6 +240,7 @@ impl<'a> Observer<'a> {
         for _ in 0..count {
             let (index, news) = store(history, Some(graph), metric, 0, &walk.step());
             let start = Instant::now();
+            search.prepare(graph, &history.states, path);
             let (states, oldest) = (&history.states, history.oldest());
             let t = history.get(index);
             path.similarity.states(states.whitened(t.from), &mut stack, &mut starts);

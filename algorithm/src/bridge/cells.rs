@@ -17,9 +17,13 @@ const MAX_AXES: usize = 3;
 const MAX_KEYS: usize = 3usize.pow(MAX_AXES as u32);
 /// A cell with more states than this is crowded.
 const CROWDED: usize = 64;
+/// The same where lists are worth much memory, at most.
+pub const CROWDED_AT_MOST: usize = 1024;
+/// Entries of all lists together, at most, where a cell with more than [`CROWDED`] states is not crowded.
+const MAX_ENTRIES: usize = if cfg!(test) { 1 << 12 } else { 1 << 24 };
 
 /// The states by cell. Memory: about 50 bytes a state, and 4 for each pair of similar states that is listed, which for one
-/// state is at most 64 in each of 27 cells.
+/// state is at most 64 in each of 27 cells, or after [`Cells::widen`] as many again for all states together as [`MAX_ENTRIES`].
 #[derive(Clone, Debug)]
 pub struct Cells {
     axes: Vec<usize>,
@@ -27,10 +31,16 @@ pub struct Cells {
     /// Side of a cell, a little above the radius so that rounding cannot separate similar states further.
     side: f64,
     cells: MixedMap<Vec<u32>>,
+    /// A cell with more states than this is crowded: [`CROWDED`] to [`CROWDED_AT_MOST`].
+    pub(super) crowded: usize,
     /// Position of each state in its cell's list.
     slots: Vec<u32>,
     /// What surrounds each state.
     surroundings: Vec<Option<Surroundings>>,
+    /// Entries of all lists together.
+    entries: usize,
+    /// See [`Cells::dispersed`].
+    dispersed: Vec<u32>,
 }
 
 /// What surrounds a state, as long as no cell there is crowded.
@@ -59,8 +69,11 @@ impl Cells {
             e_th,
             side: (2.0 * f64::from(e_th)).sqrt() * 1.001 + 1e-18,
             cells: MixedMap::default(),
+            crowded: CROWDED,
             slots: Vec::new(),
             surroundings: Vec::new(),
+            entries: 0,
+            dispersed: Vec::new(),
         }
     }
 
@@ -82,9 +95,9 @@ impl Cells {
         self.slots[at] = cell.len() as u32;
         cell.push(id);
         match cell.len() {
-            size if size == CROWDED + 1 => self.forget_around(state, key),
+            size if size == self.crowded + 1 => self.forget_around(state, key),
             // Nothing is kept around a crowded cell.
-            size if size > CROWDED => {}
+            size if size > self.crowded => {}
             _ => self.meet(id, whitened),
         }
     }
@@ -97,7 +110,7 @@ impl Cells {
         for key in self.keys(state) {
             let Some(cell) = self.cells.get(&key) else { continue };
             own.crowd += cell.len() as u32;
-            if cell.len() > CROWDED {
+            if cell.len() > self.crowded {
                 crowded = true;
                 continue;
             }
@@ -110,11 +123,15 @@ impl Cells {
                     theirs.crowd += 1;
                     if similar {
                         theirs.similar.push(id);
+                        self.entries += 1;
                     }
                 }
             }
         }
-        self.surroundings[id as usize] = (!crowded).then_some(own);
+        if !crowded {
+            self.entries += own.similar.len();
+            self.surroundings[id as usize] = Some(own);
+        }
     }
 
     /// The cell `own` of `state` has become crowded.
@@ -122,25 +139,101 @@ impl Cells {
         for key in self.keys(state) {
             let Some(cell) = self.cells.get(&key) else { continue };
             // Around other crowded cells nothing was kept.
-            if key == own || cell.len() <= CROWDED {
-                cell.iter().for_each(|&id| self.surroundings[id as usize] = None);
+            if key == own || cell.len() <= self.crowded {
+                for &id in cell {
+                    let lost = self.surroundings[id as usize].take();
+                    self.entries -= lost.map_or(0, |lost| lost.similar.len());
+                }
+                self.dispersed.extend(cell);
             }
         }
+    }
+
+    /// Has lists of similar states kept where cells are not `crowded`, [`CROWDED_AT_MOST`] at most, or less so if that were
+    /// too many entries. `ids` are all states, `whitened` as for [`Cells::insert`].
+    pub fn widen<'a>(&mut self, crowded: usize, ids: &[u32], whitened: impl Fn(u32) -> &'a [f32]) {
+        self.crowded = crowded.clamp(CROWDED, CROWDED_AT_MOST);
+        while !self.list(ids, &whitened) {
+            self.crowded = (self.crowded / 2).max(CROWDED);
+        }
+    }
+
+    /// Makes the lists of `ids`, all states, anew. False if they have too many entries: then some are missing.
+    fn list<'a>(&mut self, ids: &[u32], whitened: impl Fn(u32) -> &'a [f32]) -> bool {
+        self.surroundings.fill(None);
+        self.entries = 0;
+        for &id in ids {
+            let own = self.survey(id, &whitened);
+            self.entries += own.as_ref().map_or(0, |own| own.similar.len());
+            self.surroundings[id as usize] = own;
+            if self.is_full() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Where a cell is crowded: from more states than this on.
+    pub fn crowded(&self) -> usize {
+        self.crowded
+    }
+
+    /// Whether lists are kept in crowds that are beyond [`CROWDED`].
+    pub fn is_wide(&self) -> bool {
+        self.crowded > CROWDED
+    }
+
+    /// Whether the lists have so many entries that they are to be kept in smaller crowds alone.
+    pub fn is_full(&self) -> bool {
+        self.is_wide() && self.entries > MAX_ENTRIES
+    }
+
+    /// What surrounds state `id`, which has been entered in its cell; nothing where a cell is crowded.
+    fn survey<'a>(&self, id: u32, whitened: impl Fn(u32) -> &'a [f32]) -> Option<Surroundings> {
+        let state = whitened(id);
+        let mut own = Surroundings { similar: Vec::new(), crowd: 0 };
+        for key in self.keys(state) {
+            let Some(cell) = self.cells.get(&key) else { continue };
+            if cell.len() > self.crowded {
+                return None;
+            }
+            own.crowd += cell.len() as u32;
+            own.similar.extend(cell.iter().filter(|&&other| kl(state, whitened(other)) <= self.e_th));
+        }
+        Some(own)
+    }
+
+    /// A transition is about to be stored.
+    pub fn begin(&mut self) {
+        self.dispersed.clear();
+    }
+
+    /// The states that the newest transition has made states in a crowd, among others.
+    pub fn dispersed(&self) -> &[u32] {
+        &self.dispersed
+    }
+
+    /// Whether the states of a `cell` that [`Cells::nearby`] has shown are in a crowd.
+    pub fn is_crowd(&self, cell: &[u32]) -> bool {
+        cell.len() > self.crowded
     }
 
     /// Removes state `id`; `whitened` as for [`Cells::insert`].
     pub fn remove<'a>(&mut self, id: u32, whitened: impl Fn(u32) -> &'a [f32]) {
         let state = whitened(id);
         let own = self.key(state);
-        self.surroundings[id as usize] = None;
-        if self.cells.get(&own).is_some_and(|cell| cell.len() <= CROWDED) {
+        let lost = self.surroundings[id as usize].take();
+        self.entries -= lost.map_or(0, |lost| lost.similar.len());
+        if self.cells.get(&own).is_some_and(|cell| cell.len() <= self.crowded) {
             for key in self.keys(state) {
-                for &other in self.cells.get(&key).filter(|cell| cell.len() <= CROWDED).into_iter().flatten()
+                for &other in
+                    self.cells.get(&key).filter(|cell| cell.len() <= self.crowded).into_iter().flatten()
                 {
                     let Some(theirs) = &mut self.surroundings[other as usize] else { continue };
                     theirs.crowd -= 1;
                     if let Some(at) = theirs.similar.iter().position(|&similar| similar == id) {
                         theirs.similar.swap_remove(at);
+                        self.entries -= 1;
                     }
                 }
             }
@@ -214,6 +307,7 @@ mod tests {
             ),
             removed in proptest::collection::vec(any::<bool>(), 120),
             e_th in prop_oneof![0.01f32..2.0, Just(0.0f32), Just(0.5f32)],
+            widened in any::<bool>(),
         ) {
             let points: Vec<&[f32]> = numbers.chunks_exact(dim).collect();
             let mut cells = Cells::new(e_th, &numbers[..points.len() * dim], dim);
@@ -223,6 +317,14 @@ mod tests {
             for id in (0..points.len()).filter(|&id| removed[id]) {
                 cells.remove(id as u32, |id| points[id as usize]);
             }
+            if widened {
+                let stored = (0..points.len()).filter(|&id| !removed[id]).map(|id| id as u32);
+                let stored: Vec<u32> = stored.collect();
+                cells.widen(CROWDED_AT_MOST, &stored, |id| points[id as usize]);
+                prop_assert!(!cells.is_full());
+            }
+            let listed = (0..points.len()).filter(|&id| !removed[id]).filter_map(|id| cells.listed(id as u32));
+            prop_assert_eq!(cells.entries, listed.map(|(list, _)| list.len()).sum::<usize>());
             for (asking, query) in points.iter().enumerate() {
                 let mut found: BTreeSet<u32> = BTreeSet::new();
                 let mut crowd = 0;

@@ -53,6 +53,11 @@ impl Side {
         self.looks += count;
     }
 
+    /// States and links looked at.
+    pub(super) fn looks(&self) -> u64 {
+        self.looks as u64
+    }
+
     /// Whether the limit is exceeded.
     pub(super) fn exhausted(&self) -> bool {
         self.looks > self.limit

@@ -114,6 +114,18 @@ impl Graph {
         list.iter().map(|&at| &self.links[at as usize])
     }
 
+    /// The distinct states, in ascending order.
+    pub fn states(&self) -> impl Iterator<Item = u32> {
+        let touched = self.outgoing.iter().zip(&self.incoming).enumerate();
+        touched.filter(|(_, (out, into))| !(out.is_empty() && into.is_empty())).map(|(id, _)| id as u32)
+    }
+
+    /// Has lists of similar states kept where cells are not `crowded` ([`Cells::widen`]).
+    pub fn widen(&mut self, crowded: usize, states: &States) {
+        let ids: Vec<u32> = self.states().collect();
+        self.cells.widen(crowded, &ids, |id| states.whitened(id));
+    }
+
     /// Adds a distinct state that has just come up.
     pub fn add_state(&mut self, id: u32, states: &States) {
         self.cells.insert(id, |id| states.whitened(id));

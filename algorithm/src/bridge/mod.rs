@@ -36,13 +36,14 @@
 //! # Search
 //! The search never scans the history. Every new bridge contains the newest transition, so it is enough to look for paths
 //! through that one when it arrives: [`straight`] follows its predecessors, [`graph`] and [`search`] do the
-//! cross-referencing, and `outlook`, `room` and `wanted` say beforehand where that could improve anything.
+//! cross-referencing, and `horizon`, `outlook`, `room` and `wanted` say beforehand where that could improve anything.
 //! [`oracle`] is Algorithm 1 as it stands, and the tests compare with it. At any time each infeasible transition's
 //! bridge is as short as the shortest that has ever been in the history, and in a world of few states it is the best.
 
 pub mod cells;
 mod frontier;
 pub mod graph;
+mod horizon;
 pub mod oracle;
 mod outlook;
 mod room;

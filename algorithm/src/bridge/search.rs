@@ -16,12 +16,16 @@
 //! as soon as no beginning that it has met, or may still meet, has an end within its steps. Where it is much, those that are
 //! wanted are named after all. Both find the same.
 //!
-//! The contents of a level depend on the stored transitions alone, not on the order in which the graph keeps them. A
-//! search that has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes
-//! no further that way. So this choice, too, depends on the stored transitions alone.
+//! Before anything else `horizon` is asked whether a bridge can lead through t at all. On the way it says of each state whether one
+//! can still lead through it.
+//!
+//! The contents of a level do not depend on the order in which the graph keeps the stored transitions. A search that has looked
+//! at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes no further that way. Whether
+//! it does is no function of the stored transitions alone: horizons are lower bounds that depend on what was stored before, too.
 
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
+use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
 use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals, known};
 use super::{NEVER, Path, Place, improve};
@@ -122,6 +126,7 @@ pub struct Search {
     /// [`MANY`], but for tests.
     pub(crate) many: usize,
     outlook: Outlook,
+    pub(super) horizon: Horizon,
     collecting: Scratch,
     wanted: Vec<Wanted>,
     /// Where the present level heads for, if that is few places, and how near to them its states must be.
@@ -159,6 +164,7 @@ impl Search {
             limit: MAX_LOOKS,
             many: MANY,
             outlook: Outlook::new(mentor_states),
+            horizon: Horizon::new(mentor_transitions),
             collecting: Scratch::default(),
             wanted: Vec::new(),
             goals: Vec::new(),
@@ -201,8 +207,26 @@ impl Search {
     /// Transitions have been stored, or annotations replaced, without [`Search::run`].
     pub fn forget(&mut self) {
         self.outlook.forget();
+        self.horizon.forget();
         self.collecting.forget();
         self.beside.clear();
+    }
+
+    /// Before [`Search::run`], when the transition has been stored: has an index kept in memory, or no longer, whichever makes
+    /// searches cheaper. What they find is the same.
+    pub fn prepare(&mut self, graph: &mut Graph, states: &States, path: &Path<'_>) {
+        self.horizon.prepare(graph, states, path);
+    }
+
+    /// The newest transition has been stored.
+    fn learn(&mut self, new: &Arrival<'_>, path: &Path<'_>) {
+        let Self { outlook, horizon, collecting, .. } = self;
+        outlook.add((new.index, new.t.reward), new.starts, new.ends, path, |j| collecting.grow(j, path));
+        horizon.add(new, path);
+        self.beside.resize(new.states.bound().max(self.beside.len()), Beside::Unknown);
+        for (id, hits) in [(new.t.from, new.starts), (new.t.to, new.ends)] {
+            self.beside[id as usize] = if hits.is_empty() { Beside::Nothing } else { Beside::Something };
+        }
     }
 
     /// Looks for bridges through a new transition and improves `table`. `improved` is called with each mentor
@@ -215,15 +239,13 @@ impl Search {
         table: &mut AnnotationTable,
         mut improved: impl FnMut(usize),
     ) -> bool {
-        let Arrival { states, t, graph, starts, ends, .. } = *new;
-        let Self { outlook, collecting, .. } = self;
-        outlook.add((new.index, t.reward), starts, ends, path, |j| collecting.grow(j, path));
+        let Arrival { t, graph, .. } = *new;
+        self.learn(new, path);
         if new.news == News::Nothing {
             return true;
         }
-        self.beside.resize(states.bound().max(self.beside.len()), Beside::Unknown);
-        for (id, hits) in [(t.from, starts), (t.to, ends)] {
-            self.beside[id as usize] = if hits.is_empty() { Beside::Nothing } else { Beside::Something };
+        if !self.horizon.promises(new, path, table) {
+            return true;
         }
         let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
         if !self.collect(new, path, &reach, self.many, table) {
@@ -232,6 +254,7 @@ impl Search {
             }
             self.collect(new, path, &reach, usize::MAX, table);
         }
+        self.horizon.looked(self.wanted.len() as u64);
         if self.wanted.is_empty() {
             return true;
         }
@@ -251,6 +274,7 @@ impl Search {
                 self.forward(new, &mut ahead, path, Some(&reach));
             }
         }
+        self.horizon.looked(ahead.looks() + behind.looks());
         let cut_short = ahead.exhausted() || behind.exhausted();
         self.cut_short += u64::from(cut_short);
         self.join(new, path, table, &mut improved);
@@ -270,7 +294,7 @@ impl Search {
         table: &AnnotationTable,
     ) -> bool {
         let Arrival { states, t, graph, oldest, starts, ends, .. } = *new;
-        let Self { outlook, collecting, wanted, .. } = self;
+        let Self { outlook, horizon, collecting, wanted, .. } = self;
         let newest = Newest {
             from: states.whitened(t.from),
             to: states.whitened(t.to),
@@ -280,6 +304,7 @@ impl Search {
             path,
             stock: Stock { states, graph, oldest },
             reach: *reach,
+            horizon,
         };
         newest.collect_near(table, outlook, collecting, wanted);
         newest.collect_far(table, outlook, collecting, most, wanted)
@@ -301,7 +326,7 @@ impl Search {
         self.begin(new);
         self.mark(new);
         let first = First { action: t.action, reward: t.reward, to: t.to };
-        for (j, _) in transitions(new.starts, path.order) {
+        for (j, _) in transitions(new.starts, path.order).filter(|&(j, _)| self.horizon.is_open(j)) {
             self.starts.meet(j, 0, first, (table, path), new.states);
         }
         while !ahead.exhausted() && !behind.exhausted() {
@@ -320,6 +345,7 @@ impl Search {
                 break;
             }
         }
+        self.horizon.looked(ahead.looks() + behind.looks());
         self.ends.clear();
         self.starts.clear();
         !ahead.exhausted() && !behind.exhausted()
@@ -372,7 +398,7 @@ impl Search {
     fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: Option<&Reach>) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, ends, beside, stack, hits, .. } = self;
+        let Self { horizon, goals, limits, wanted, ends, beside, stack, hits, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
             let few = forward_goals(wanted, path, reach, FEW, goals);
@@ -394,6 +420,7 @@ impl Search {
                     }
                     if link.continues()
                         && continued.first_time(link.to)
+                        && horizon.goes_on(link.to, next)
                         && (!few || within(states.whitened(link.to), limits, path))
                     {
                         next_level.push(link.to);
@@ -429,7 +456,7 @@ impl Search {
     ) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, starts, beside, stack, hits, .. } = self;
+        let Self { horizon, goals, limits, wanted, starts, beside, stack, hits, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
             let few = backward_goals(wanted, path, reach, FEW, goals);
@@ -471,11 +498,13 @@ impl Search {
             } else {
                 beside[id as usize].hits(state, path, stack, hits);
             }
-            for (j, _) in transitions(hits, path.order) {
+            for (j, _) in transitions(hits, path.order).filter(|&(j, _)| horizon.is_open(j)) {
                 starts.meet(j, next, first, (table, path), states);
             }
         }
-        next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
+        next_back.retain(|&(id, _)| {
+            horizon.comes_in(id, next) && (!few || within(states.whitened(id), limits, path))
+        });
         side.open = !next_back.is_empty();
         std::mem::swap(back, next_back);
     }

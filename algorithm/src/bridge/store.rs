@@ -26,6 +26,9 @@ pub fn store(
             }
         }
     }
+    if let Some(graph) = &mut graph {
+        graph.cells.begin();
+    }
     let [from, to] = [t.obs, t.next_obs].map(|state| {
         let (id, new) = history.states.acquire(state, metric);
         if new && let Some(graph) = &mut graph {

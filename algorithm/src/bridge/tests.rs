@@ -38,6 +38,9 @@ struct World {
     capacity: usize,
     /// Whether everything around a transition is surveyed, however few mentor transitions are wanted.
     surveyed: bool,
+    /// Whether horizons are kept, and states in a cell that is not yet crowded, at most.
+    kept: bool,
+    crowd: usize,
 }
 
 fn worlds() -> impl Strategy<Value = World> {
@@ -55,20 +58,11 @@ fn worlds() -> impl Strategy<Value = World> {
         1 => proptest::collection::vec(prop_oneof![Just((APART, 0.0f32)), Just((0.0, 1.0))], 1..=3),
     ];
     let jitter = prop_oneof![2 => Just(0.0f32), 1 => 0.01f32..0.4];
-    let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80], any::<bool>());
-    (mentor, moves, 2i8..5, features, jitter, scale).prop_map(
-        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity, surveyed))| World {
-            mentor,
-            moves,
-            side,
-            step,
-            e_th,
-            features,
-            jitter,
-            k,
-            n,
-            capacity,
-            surveyed,
+    let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]);
+    let search = (any::<bool>(), any::<bool>(), prop_oneof![1usize..4, Just(64)]);
+    (mentor, moves, 2i8..5, features, jitter, scale, search).prop_map(
+        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity), (surveyed, kept, crowd))| {
+            World { mentor, moves, side, step, e_th, features, jitter, k, n, capacity, surveyed, kept, crowd }
         },
     )
 }
@@ -113,6 +107,13 @@ impl Bench {
             search: Search::new(order.n_states(), order.n_transitions()),
             straight: straight::Scratch::default(),
             metric: Metric::diagonal(&vec![1.0; dim]).unwrap(),
+        }
+    }
+
+    /// Forms the horizons anew, and keeps them.
+    fn keep_horizons(&mut self, path: &Path<'_>) {
+        if let Some(graph) = &self.graph {
+            self.search.horizon.build(graph, &self.history.states, path);
         }
     }
 
@@ -281,6 +282,9 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     if world.surveyed {
         bench.search.many = 0;
     }
+    if let Some(graph) = &mut bench.graph {
+        graph.cells.crowded = world.crowd;
+    }
     let whole = [vec![(1.0, 0.0), (0.0, 1.0)], vec![(0.0, 0.0)]].contains(&world.features);
     let discrete = whole && world.jitter == 0.0 && world.step * world.step > 2.0 * world.e_th;
     // Of each mentor transition.
@@ -313,6 +317,9 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             flags,
         };
         let before = table.clone();
+        if world.kept && (i == 0 || i == 50) {
+            bench.keep_horizons(&path);
+        }
         let index = bench.observe(actor, &t, &path, &mut table);
         fresh[a] = end < 2;
         places[a] = if end < 2 { (0, 0) } else { next };
@@ -363,6 +370,57 @@ fn a_level_beyond_the_limit_is_dropped_whatever_the_order() {
         assert_eq!(length, (limit == 1000).then_some(2), "limit {limit}, place {place}");
         assert_eq!(bench.search.cut_short(), u64::from(limit == 15));
     }
+}
+
+/// A mentor goes from 0 to 1. The observer finds a way of three steps by its sixth transition, and no other one promises anything.
+#[test]
+fn a_horizon_ends_searches_before_they_begin() {
+    let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
+    demo.push_trajectory(&[0.0, 1.0], false).unwrap();
+    let order = demo.order();
+    let similarity = Similarity::new(demo.states().to_vec(), 1, 0.1);
+    let path =
+        Path { rule: BridgeRule { k: 3, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
+    let mut table = AnnotationTable::new(1, 1, 1);
+    let mut bench = Bench::new(&demo, 0.1, 100, true);
+    bench.keep_horizons(&path);
+    let mut promised = Vec::new();
+    for (from, to) in [(9.0, 8.0), (8.0, 0.0), (0.5, 9.0), (0.0, 2.0), (2.0, 3.0), (3.0, 1.0), (7.0, 6.0)] {
+        let t = Transition { obs: &[from], next_obs: &[to], action: 0, reward: 0.0, flags: FIRST };
+        let index = bench.observe(0, &t, &path, &mut table);
+        let (Some(graph), t) = (&bench.graph, bench.history.get(index)) else { panic!("no graph") };
+        let (states, news) = (&bench.history.states, super::graph::News::Link);
+        let new = Arrival { states, graph, t, index, oldest: 0, news, starts: &[], ends: &[] };
+        promised.push(bench.search.horizon.promises(&new, &path, &table));
+    }
+    assert_eq!(promised, [false, false, false, false, false, true, false]);
+    assert_eq!(table.bridge(0).map(|b| b.length), Some(3));
+}
+
+/// The index is kept from when searches have been dear for some time, and given up once they are cheap.
+#[test]
+fn horizons_are_kept_while_they_pay() {
+    let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
+    demo.push_trajectory(&[0.0, 1.0], false).unwrap();
+    let order = demo.order();
+    let similarity = Similarity::new(demo.states().to_vec(), 1, 0.1);
+    let path =
+        Path { rule: BridgeRule { k: 3, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
+    let mut bench = Bench::new(&demo, 0.1, 100, true);
+    let states = &bench.history.states;
+    let Some(graph) = &mut bench.graph else { panic!("no graph") };
+    // For each transition: what its search looks at, and whether the index is kept then.
+    let kept: Vec<bool> = (0..30_000)
+        .map(|i| {
+            bench.search.horizon.prepare(graph, states, &path);
+            bench.search.horizon.looked(if i < 3_000 { 200 } else { 1 });
+            assert_eq!(graph.cells.is_wide(), bench.search.horizon.is_kept());
+            bench.search.horizon.is_kept()
+        })
+        .collect();
+    let changes: Vec<usize> = (1..kept.len()).filter(|&i| kept[i] != kept[i - 1]).collect();
+    assert_eq!(changes.len(), 2, "{changes:?}");
+    assert!(changes[0] < 3_000 && changes[1] > 3_000, "{changes:?}");
 }
 
 proptest! {

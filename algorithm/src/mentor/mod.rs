@@ -326,6 +326,9 @@ impl Mentor {
             self;
         let (starts, ends) = (near.starts.as_slice(), near.ends.as_slice());
         let path = Path { rule: *rule, order, similarity };
+        if let Some(graph) = graph.as_mut() {
+            search.prepare(graph, &history.states, &path);
+        }
         let complete = graph.as_ref().is_some_and(|graph| {
             let (states, oldest) = (&history.states, history.oldest());
             let new = Arrival { states, graph, t: history.get(index), index, oldest, news, starts, ends };
