@@ -114,6 +114,8 @@ TABLES = {
         "algo": "algorithm", "replay": "replay", "processes": "processes", "peak_mb": "at most, MB",
         "replay_bytes_each": "bytes a stored transition"})),
     "loop": (["loop"], whole_runs),
+    "demonstration": (["demonstration"], lambda runs: measured(runs, {
+        "mentor": "mentor transitions", "env_steps": "environment steps", "steps_per_cpu_s": "steps per CPU second", "relative": "relative to ten"})),
     "maze30": (["maze30"], against_sb3),
 }
 

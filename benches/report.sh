@@ -47,7 +47,7 @@ keep() {
 mkdir -p "$OUT"
 if [[ $measure == yes ]]; then
     cargo build --release -p trestle -p trestle-bench
-    for name in step threads infer replay mentor tick free message weights idle memory loop; do
+    for name in step threads infer replay mentor tick free message weights idle memory loop demonstration; do
         keep "$name" "$TARGET/release/trestle-bench" "$name" --json
     done
     if [[ $peers == yes ]]; then

@@ -4,12 +4,13 @@
 //! - `threads`: a gradient step that several threads share, in wall time;
 //! - `tick` (with `message` and `weights`), `free`: messages, in wall time, with peers that are processes of this program;
 //! - `idle`, `memory`: what the processes of `trestle` take while they wait, and at most;
-//! - `run_loop`: whole runs of `trestle`.
+//! - `loop`: whole runs of `trestle`; `demonstration`: such runs with demonstrations of different sizes.
 //!
 //! Every figure is a median after a warm-up, and what is to be compared takes turns. `clock`, `exchange` and `report`
 //! hold how to measure; `peer` is the other end of `exchange`; `program` finds `trestle`.
 
 mod clock;
+mod demonstration;
 mod exchange;
 mod free;
 mod idle;
@@ -75,6 +76,8 @@ enum Benchmark {
     Memory,
     /// Whole runs on maze30
     Loop,
+    /// Whole runs with demonstrations of 10 to 100,000 transitions
+    Demonstration,
 }
 
 impl Benchmark {
@@ -93,6 +96,7 @@ impl Benchmark {
             Benchmark::Idle => idle::run(effort),
             Benchmark::Memory => memory::run(effort),
             Benchmark::Loop => run_loop::run(effort),
+            Benchmark::Demonstration => demonstration::run(effort),
         }?;
         let name = self.to_possible_value().map(|value| value.get_name().to_string());
         Ok(Report { name: name.unwrap_or_default(), machine, rows })

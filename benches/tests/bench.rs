@@ -121,6 +121,8 @@ fn whole_runs() {
             assert!(rows.iter().any(|row| row["algo"] == algo && row["mode"] == mode), "{rows:?}");
         }
     }
+    let rows = self::rows("demonstration", &["mentor", "env_steps", "steps_per_cpu_s", "relative"]);
+    assert_eq!((distinct(&rows, "mentor"), &rows[0]["relative"]), (2, &Value::from(1.0)), "{rows:?}");
 }
 
 #[test]
@@ -137,8 +139,19 @@ fn a_wrong_name_gets_the_accepted_ones() {
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     let text = String::from_utf8(output.stderr).unwrap();
     for word in [
-        "nothing", "step", "infer", "replay", "mentor", "tick", "free", "message", "weights", "idle",
-        "memory", "loop",
+        "nothing",
+        "step",
+        "infer",
+        "replay",
+        "mentor",
+        "tick",
+        "free",
+        "message",
+        "weights",
+        "idle",
+        "memory",
+        "loop",
+        "demonstration",
     ] {
         assert!(text.contains(word), "`{word}` is missing: {text}");
     }
