@@ -1,0 +1,47 @@
+#!/usr/bin/env python3
+"""Ratios to `diiqn` with honest inference on maze30: docs/results.md shows what this prints.
+
+Every arm but `diiqn` has the same runs with `mentor.inference=similar` as with `any`. So their rows are those of
+maze30-runs.csv, and maze30-similar-runs.csv has the runs of `diiqn`. Intervals hold 95 % (bootstrap, 2000 resamples).
+"""
+
+import csv
+import random
+import statistics
+from pathlib import Path
+
+HERE = Path(__file__).parent
+RESAMPLES = 2000
+
+
+def times(file: str, column: str) -> dict[str, list[float]]:
+    """Of each arm when its runs were solved; never is infinity."""
+    found: dict[str, list[float]] = {}
+    with open(HERE / file, encoding="utf-8") as rows:
+        for row in csv.DictReader(rows):
+            found.setdefault(row["arm"], []).append(float(row[column] or "inf"))
+    return found
+
+
+def ratio(times: list[float], base: list[float]) -> str:
+    draw = random.Random(1)
+    resample = lambda of: statistics.median(draw.choices(of, k=len(of)))
+    all_ = sorted(resample(times) / resample(base) for _ in range(RESAMPLES))
+    low, high = all_[RESAMPLES // 40], all_[-RESAMPLES // 40 - 1]
+    return f"{statistics.median(times) / statistics.median(base):.2f} [{low:.2f}, {high:.2f}]"
+
+
+def main() -> None:
+    columns = ["solved_episode", "solved_env_steps"]
+    arms = [times("maze30-runs.csv", column) for column in columns]
+    honest = [times("maze30-similar-runs.csv", column)["diiqn"] for column in columns]
+    print("| arm | runs | episodes | thousand steps | episodes / `diiqn` | steps / `diiqn` |\n|---|---|---|---|---|---|")
+    for arm in ["diiqn", "dqn", "literal", "gated", "matched", "confidence", "guided"]:
+        episodes, steps = honest if arm == "diiqn" else (arms[0][arm], arms[1][arm])
+        ratios = ["1", "1"] if arm == "diiqn" else [ratio(episodes, honest[0]), ratio(steps, honest[1])]
+        cells = [f"`{arm}`", len(steps), f"{statistics.median(episodes):.0f}", f"{statistics.median(steps) / 1e3:.0f}", *ratios]
+        print("| " + " | ".join(map(str, cells)) + " |")
+
+
+if __name__ == "__main__":
+    main()
