@@ -10,6 +10,7 @@ use super::report::Row;
 use anyhow::{Context, Result, ensure};
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeVal;
+use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -18,15 +19,16 @@ use std::process::{Command, Stdio};
 const MENTOR: [&[usize]; 2] = [&[10, 100, 1_000, 10_000, 100_000], &[10, 100]];
 /// Environment steps of a run.
 const ENV_STEPS: [u64; 2] = [30_000, 1_000];
-/// Trajectories that have as many transitions, and some more.
-const TRAJECTORIES: [u32; 2] = [1_200, 3];
+/// Trajectories that have as many transitions, and some more. A plan has no more than a thousand: these are of two.
+const TRAJECTORIES: [[u32; 2]; 2] = [[1_000, 200], [2, 1]];
 /// States up to this KL are similar, half a stride of the mentor's: more than `auto` gives, and so dearer.
 const E_TH: f64 = 0.3;
 
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let program = trestle()?;
     let dir = Scratch::new("demonstration")?;
-    let whole = plan(&program, &dir.0, effort.pick(TRAJECTORIES[0], TRAJECTORIES[1]))?;
+    let [first_part, second_part] = effort.pick(TRAJECTORIES[0], TRAJECTORIES[1]);
+    let whole = [plan(&program, &dir.0, first_part, 0)?, plan(&program, &dir.0, second_part, 1)?];
     let env_steps = effort.pick(ENV_STEPS[0], ENV_STEPS[1]);
     let (mut rows, mut first) = (Vec::new(), None);
     for &mentor in effort.pick(MENTOR[0], MENTOR[1]) {
@@ -40,38 +42,39 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// The text of a demonstration with so many trajectories.
-fn plan(program: &Path, dir: &Path, trajectories: u32) -> Result<String> {
-    let file = dir.join("whole.csv");
+/// The text of a demonstration with so many trajectories, whose beginnings `seed` decides.
+fn plan(program: &Path, dir: &Path, trajectories: u32, seed: u32) -> Result<String> {
+    let file = dir.join(format!("plan-{seed}.csv"));
     let mut command = Command::new(program);
-    command.args(["demo", "plan", "point-maze", "--set", "env.map=large", "--trajectories"]);
-    command.arg(trajectories.to_string()).arg("--out").arg(&file).stdout(Stdio::null());
+    command.args(["demo", "plan", "point-maze", "--set", "env.map=large", "--set", "env.backend=builtin"]);
+    command.args(["--trajectories", &trajectories.to_string(), "--mentor-seed", &seed.to_string()]);
+    command.arg("--out").arg(&file).stdout(Stdio::null());
     let status = command.status().context("cannot plan a demonstration")?;
     ensure!(status.success(), "trestle demo plan has failed: {status}");
     fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))
 }
 
-/// The first `transitions` transitions of a demonstration: each trajectory has one state more.
-fn beginning(whole: &str, transitions: usize) -> Result<String> {
-    let mut lines = whole.lines();
-    let mut text = format!("{}\n", lines.next().context("a demonstration without a heading")?);
-    let (mut taken, mut last) = (0, None);
-    for line in lines {
-        let trajectory = line.split_once(',').map(|(trajectory, _)| trajectory);
-        if last.replace(trajectory) == Some(trajectory) {
-            taken += 1;
-        } else if taken == transitions {
-            break;
+/// The first `transitions` transitions of demonstrations with the same features, as one.
+fn beginning(parts: &[String], transitions: usize) -> Result<String> {
+    let heading =
+        parts.first().and_then(|part| part.lines().next()).context("a demonstration without a heading")?;
+    let mut text = format!("{heading}\n");
+    let (mut taken, mut trajectory) = (0, 0);
+    for part in parts {
+        let mut last = None;
+        for line in part.lines().skip(1) {
+            let (number, rest) = line.split_once(',').context("a line of a demonstration without a comma")?;
+            let follows = last.replace(number).is_some_and(|last| last == number);
+            if taken == transitions {
+                return Ok(text);
+            }
+            (taken, trajectory) = if follows { (taken + 1, trajectory) } else { (taken, trajectory + 1) };
+            writeln!(text, "{trajectory},{rest}")?;
         }
-        if taken > transitions {
-            break;
-        }
-        text += line;
-        text.push('\n');
     }
     ensure!(
-        taken >= transitions,
-        "the planned demonstration has {taken} transitions, {transitions} are needed"
+        taken == transitions,
+        "the planned demonstrations have {taken} transitions, {transitions} are needed"
     );
     Ok(text)
 }
