@@ -1,11 +1,11 @@
 #!/bin/sh
-# Which weight each rival gets: three of each, on five tasks of the choosing set with two seeds. docs/rivals.md has the result.
+# Which weight each rival gets: three of each, on five tasks of the choosing set. docs/rivals.md has the result.
 # usage: rivals-choosing.sh OUT [further arguments of `trestle sweep`, such as --jobs 2]
 # It goes on where it was stopped.
 out=${1:?the directory of the sweep}
 shift
 [ -e "$out" ] && set -- --resume "$@"
-exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set choosing --out "$out" --seeds 0..2 --env-steps 40000 \
+exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set choosing --out "$out" --seeds 0..1 --env-steps 40000 \
     --tasks 'mazes-one-hot/halls-16x16-*' --tasks 'mazes-one-hot/corridors-2-14x14-*' --tasks 'mazes-one-hot/rooms-18x18-*' \
     --tasks 'mazes-coordinates/halls-16x16-*' --tasks 'point-maze/serpentine-6x7-*' \
     --arm dqn:algo=dqn \

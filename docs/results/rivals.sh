@@ -1,11 +1,11 @@
 #!/bin/sh
-# The rivals beside `dqn` and `trestle` on one maze of each generator, none of which was used for a choice. docs/rivals.md has the result.
+# The rivals beside `dqn` and `trestle` on one maze of each of eight generators, none of which was used for a choice. docs/rivals.md has the result.
 # usage: rivals.sh OUT [further arguments of `trestle sweep`, such as --jobs 2]
 # It goes on where it was stopped. Weights are those that rivals-choosing.sh came to.
 out=${1:?the directory of the sweep}
 shift
 [ -e "$out" ] && set -- --resume "$@"
-exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set reporting --out "$out" --seeds 0..2 --tasks 'mazes-one-hot/*01' \
+exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set reporting --out "$out" --seeds 0..1 --tasks 'mazes-one-hot/*01' \
     --algos dqn,trestle,diiqn+labels,dqn+resets \
     --arm shaped:algo=dqn,shaping.potential=1 \
     --arm optimal-transport:algo=dqn,rival.kind=optimal-transport,rival.transport.weight=0.01 \
