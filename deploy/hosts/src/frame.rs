@@ -1,6 +1,6 @@
 //! Frames: what travels between two relays, one message of the wire each.
 //!
-//! A frame is a [`Header`] and up to [`CHUNK`] bytes. It is believed only if its length, its version and its checksum are right. A
+//! A frame is a header and up to [`CHUNK`] bytes. It is believed only if its length, its version and its checksum are right. A
 //! frame that is not is dropped without an answer: it is as if it had been lost.
 
 use crate::limits::{CHUNK, MAX_TEXT};

@@ -1,4 +1,4 @@
-//! One run over several hosts. Shared memory stays inside a host; between hosts messages go over a [`Wire`], which may lose,
+//! One run over several hosts. Shared memory stays inside a host; between hosts messages go over a [wire], which may lose,
 //! repeat and reorder them.
 //!
 //! Each host has one more process, the *relay*. To the learner, the relay of the run's own host (the *head*) looks like a set of
