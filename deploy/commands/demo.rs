@@ -5,10 +5,11 @@ mod inspect;
 mod picture;
 mod record;
 
+use super::free;
 use crate::cli::{Demo, Plan, Source};
 use crate::prepare::{self, Resolved};
 use crate::status::ExitCode;
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use std::path::Path;
 use trestle_actor::env::registry;
 use trestle_algorithm::demonstration::Demonstration;
@@ -44,12 +45,6 @@ fn plan(args: &Plan) -> Result<()> {
     })?;
     demo_file::write(&args.out, &demonstration)?;
     report(&args.out, &demonstration)
-}
-
-/// Refuses to write where something is, unless that was asked for.
-pub(super) fn free(out: &Path, overwrite: bool) -> Result<()> {
-    ensure!(overwrite || !out.exists(), "{} exists; accepted: another file, or --overwrite", out.display());
-    Ok(())
 }
 
 /// What has been written.

@@ -1,7 +1,7 @@
 //! `trestle export`
 
-use super::demo::free;
 use super::eval::{Chosen, choose};
+use super::free;
 use crate::cli::{Export, Format};
 use crate::export::{Network, file, model};
 use crate::status::ExitCode;

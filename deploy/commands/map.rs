@@ -1,6 +1,6 @@
 //! `trestle map`
 
-use super::demo::free;
+use super::free;
 use crate::cli::{Map, MapImport};
 use crate::status::ExitCode;
 use anyhow::{Context, Result};

@@ -21,9 +21,10 @@ mod watch;
 
 use crate::cli::{Cli, Command};
 use crate::status::ExitCode;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use nix::sys::stat::{Mode, umask};
 use signal_hook::consts::{SIGPIPE, SIGXFSZ};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -77,4 +78,10 @@ pub(crate) fn run(cli: Cli) -> Result<ExitCode> {
         Command::MentorServer(args) => role::mentor_server(&args),
         Command::Orphaned { run } => role::orphaned(run),
     }
+}
+
+/// Refuses to write where something is, unless that was asked for.
+fn free(out: &Path, overwrite: bool) -> Result<()> {
+    ensure!(overwrite || !out.exists(), "{} exists; accepted: another file, or --overwrite", out.display());
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! An evaluation as a picture or a film.
 
-use super::demo::free;
+use super::free;
 use super::report::{led_steps, mentor_steps, squares};
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;

@@ -1,7 +1,8 @@
 //! `trestle demo import`
 
-use super::{free, report};
+use super::report;
 use crate::cli::{Ends, Header, Import};
+use crate::commands::free;
 use anyhow::Result;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options, import};

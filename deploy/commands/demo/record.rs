@@ -1,7 +1,8 @@
 //! `trestle demo record`
 
-use super::{free, report};
+use super::report;
 use crate::cli::Record;
+use crate::commands::free;
 use crate::itself;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result, ensure};

@@ -1,6 +1,5 @@
 //! HDF5: which of its layouts a file has, and tables of numbers and flags, read window by window.
 
-mod dense;
 mod episodes;
 mod flat;
 mod layout;

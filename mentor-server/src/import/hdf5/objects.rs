@@ -4,7 +4,8 @@
 //! the old style, III.A.2 and IV.A for object headers, and `dense` for groups with many links). Whatever does not look as it
 //! should is none: what is wrong with a file is the library's to say.
 
-use super::dense;
+mod dense;
+
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::os::unix::fs::FileExt;

@@ -1,7 +1,7 @@
 //! The links of a group that has many: objects of a fractal heap, which a B-tree of version 2 lists by their names' hashes
 //! (HDF5 file format, III.A.2, III.G).
 
-use super::objects::{Objects, little, word};
+use super::{Objects, little, word};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
