@@ -18,7 +18,7 @@ use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
+    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary, sync_parent,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
@@ -97,7 +97,10 @@ pub(super) fn move_aside(root: &Path) -> Result<PathBuf> {
     let mut aside = name.to_os_string();
     aside.push(format!("{REPLACED}{}", std::process::id()));
     let aside = root.with_file_name(aside);
-    fs::rename(root, &aside).with_context(|| format!("cannot move {} aside", root.display()))?;
+    // A power cut keeps this name, or nothing that is changed under it.
+    fs::rename(root, &aside)
+        .and_then(|()| sync_parent(&aside))
+        .with_context(|| format!("cannot move {} aside", root.display()))?;
     Ok(aside)
 }
 
@@ -108,7 +111,8 @@ pub(super) fn discard(path: &Path) -> Result<()> {
     let name = name.rsplit_once(REPLACED).map_or(name.as_ref(), |(name, _)| name);
     let gone = path.with_file_name(format!(".{name}{REMOVED}{}", std::process::id()));
     let failed = || format!("cannot remove {}", path.display());
-    fs::rename(path, &gone).with_context(failed)?;
+    // A power cut does not bring the name back without its contents.
+    fs::rename(path, &gone).and_then(|()| sync_parent(&gone)).with_context(failed)?;
     match fs::remove_dir_all(&gone) {
         // Another command is removing it as well.
         Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::DirectoryNotEmpty) => Ok(()),

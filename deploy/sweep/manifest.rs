@@ -19,6 +19,8 @@ pub(super) const PROBE: &str = ".probe-";
 const MAX_BYTES: u64 = 16 << 20;
 /// Version of the layout of sweep.json.
 const FORMAT: u32 = 1;
+/// How often a sweep that begins writes its file anew. Each time another one must have begun in the middle of it.
+const CLAIMS: u32 = 8;
 
 /// What was asked for.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -93,11 +95,19 @@ impl Manifest {
         let path = Self::path(out);
         clear(out)?;
         let union = self.united(out, resume)?;
-        fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
         let text = serde_json::to_string_pretty(&union)?;
-        write_atomically(&path, Durable::Now, |file| writeln!(file, "{text}"))
-            .with_context(|| format!("cannot write {}", path.display()))?;
-        Ok(union)
+        // Another sweep that begins here at the same time may take the file that is being written for a leftover (`clear`).
+        let mut attempts = 0;
+        loop {
+            fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+            match write_atomically(&path, Durable::Now, |file| writeln!(file, "{text}")) {
+                Err(e) if e.kind() == ErrorKind::NotFound && attempts < CLAIMS => attempts += 1,
+                written => {
+                    written.with_context(|| format!("cannot write {}", path.display()))?;
+                    return Ok(union);
+                }
+            }
+        }
     }
 
     /// What [`Manifest::claim`] would return, without touching anything.
