@@ -5,13 +5,9 @@ use crate::kernels::{
     After, ByColumn, ByRow, ColumnSums, Fold, Gathered, Kernels, Left, OutputLayer, Product, Transpose,
     Within,
 };
-use crate::layout::{Layer, Layout, MAX_LAYERS};
+use crate::layout::{Layer, Layout, MAX_LAYERS, PANEL};
 use crate::net::{Places, Workspace, split_off};
 use crate::threads::{Work, share};
-
-/// Columns of a panel of transposed weights: a multiple of every tile's, and few enough for the panel to stay in the
-/// second-level cache.
-pub(crate) const PANEL: usize = 64;
 
 /// One term `dq * Q(x_row, action)` of the sum whose gradient [`backward`] takes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -22,6 +22,10 @@ pub const MAX_LAYERS: usize = 7;
 /// [`MAX_WIDTH`], since a convolution has few parameters.
 pub const MAX_PLANES: usize = 4 * MAX_WIDTH;
 
+/// Columns of a panel of transposed weights: a multiple of every tile's, and few enough for the panel to stay in the
+/// second-level cache.
+pub(crate) const PANEL: usize = 64;
+
 /// Why a list of sizes is no network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayoutError {

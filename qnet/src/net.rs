@@ -1,9 +1,8 @@
 //! Values of a network: the forward pass, for acting and for training.
 
-use crate::backward::PANEL;
 use crate::buffer::AlignedBuffer;
 use crate::kernels::{After, ByRow, Gathered, Kernels, NarrowProduct, Product, Within};
-use crate::layout::{Layer, Layout, MAX_LAYERS};
+use crate::layout::{Layer, Layout, MAX_LAYERS, PANEL};
 use crate::threads::{Threads, Work, share};
 
 /// Scratch memory for networks of one layout and batches up to a fixed number of rows.

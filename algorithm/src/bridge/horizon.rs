@@ -20,8 +20,7 @@
 
 use super::cells::CROWDED_AT_MOST;
 use super::graph::{Graph, News};
-use super::wanted::known;
-use super::{Path, search::Arrival};
+use super::{Arrival, Path, known};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;

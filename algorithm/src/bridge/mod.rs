@@ -57,7 +57,10 @@ mod wanted;
 mod tests;
 
 use crate::demonstration::Order;
+use crate::history::Stored;
 use crate::similarity::{Hit, Similarity};
+use crate::states::States;
+use graph::{Graph, News};
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
 /// More steps than any path has.
@@ -97,11 +100,37 @@ impl Path<'_> {
     }
 }
 
+/// The newest transition and where it has arrived.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival<'a> {
+    /// The distinct states.
+    pub states: &'a States,
+    /// The stored transitions, the newest among them.
+    pub graph: &'a Graph,
+    /// The newest transition t.
+    pub t: &'a Stored,
+    /// Its number.
+    pub index: u64,
+    /// Number of the oldest stored transition.
+    pub oldest: u64,
+    /// Its effect on the graph.
+    pub news: News,
+    /// The mentor states similar to its beginning, and to its end.
+    pub starts: &'a [Hit],
+    /// See `starts`.
+    pub ends: &'a [Hit],
+}
+
 /// Whether the newest transition is the first step of a path, and whether it is the last.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     first: bool,
     last: bool,
+}
+
+/// The bridge of mentor transition `j`, if it counts.
+fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<Bridge<'a>> {
+    table.bridge(j).filter(|known| known.length as usize <= rule.k)
 }
 
 /// Makes `found`, in which the newest transition has this `place`, the bridge of mentor transition `j` if it is better

@@ -27,10 +27,9 @@ use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
 use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
-use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals, known};
-use super::{NEVER, Path, Place, improve};
+use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
+use super::{Arrival, NEVER, Path, Place, improve, known};
 use crate::demonstration::transitions;
-use crate::history::Stored;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
 use crate::states::States;
@@ -95,27 +94,6 @@ enum Beside {
     Unknown,
     Nothing,
     Something,
-}
-
-/// The newest transition and where it has arrived.
-#[derive(Clone, Copy, Debug)]
-pub struct Arrival<'a> {
-    /// The distinct states.
-    pub states: &'a States,
-    /// The stored transitions, the newest among them.
-    pub graph: &'a Graph,
-    /// The newest transition t.
-    pub t: &'a Stored,
-    /// Its number.
-    pub index: u64,
-    /// Number of the oldest stored transition.
-    pub oldest: u64,
-    /// Its effect on the graph.
-    pub news: News,
-    /// The mentor states similar to its beginning, and to its end.
-    pub starts: &'a [Hit],
-    /// See `starts`.
-    pub ends: &'a [Hit],
 }
 
 /// Working memory of the search.

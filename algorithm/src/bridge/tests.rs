@@ -4,9 +4,9 @@
 
 use super::graph::Graph;
 use super::oracle::{self, Quality};
-use super::search::{Arrival, Search};
+use super::search::Search;
 use super::store::store;
-use super::{BridgeRule, Path, Place, cells::Cells, straight};
+use super::{Arrival, BridgeRule, Path, Place, cells::Cells, straight};
 use crate::demonstration::Demonstration;
 use crate::history::History;
 use crate::similarity::Similarity;

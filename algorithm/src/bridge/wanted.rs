@@ -9,11 +9,11 @@ use super::frontier::Marks;
 use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
 use super::room::Room;
-use super::{BridgeRule, NEVER, Path};
+use super::{NEVER, Path, known};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
-use trestle_proto::annotation::{AnnotationTable, Bridge};
+use trestle_proto::annotation::AnnotationTable;
 
 /// Distances are taken as this much shorter than computed, which covers rounding: sums of 4096 squares are off by less.
 const SHORTER: f64 = 0.999;
@@ -317,11 +317,6 @@ impl Newest<'_> {
         }
         wanted.is_possible().then_some(wanted)
     }
-}
-
-/// The bridge of mentor transition `j`, if it counts.
-pub(super) fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<Bridge<'a>> {
-    table.bridge(j).filter(|known| known.length as usize <= rule.k)
 }
 
 /// Fills `goals` with the mentor states that the search forward heads for, each once. False, and of no use, if they are

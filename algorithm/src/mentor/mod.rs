@@ -11,8 +11,8 @@ mod tests;
 
 use crate::bridge::cells::Cells;
 use crate::bridge::graph::{Graph, News};
-use crate::bridge::search::{Arrival, Search};
 use crate::bridge::store::store;
+use crate::bridge::{Arrival, search::Search};
 use crate::bridge::{BridgeRule, Path, straight};
 use crate::demonstration::transitions;
 use crate::demonstration::{Demonstration, Order};
