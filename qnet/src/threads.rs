@@ -18,7 +18,7 @@ use trestle_proto::limits::MAX_THREADS;
 
 /// Multiply-adds that a thread must have to do for it to be called: some twenty microseconds of work on AVX-512, several times the cost of
 /// handing it over. Measured by `trestle-bench threads`.
-const LEAST: usize = 1 << 20;
+const LEAST: usize = 1 << 22;
 
 /// How often a waiting thread looks before it sleeps: up to a tenth of a millisecond.
 const LOOKS: usize = 4000;
