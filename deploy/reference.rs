@@ -31,7 +31,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let display = Display::new(&experiment.config.run, quiet);
     let transitions = mentor.as_ref().map(|mentor| mentor.mentor_transitions().clone());
     let mut session = Session::new(plan, dir, transitions, Box::new(|progress| display.update(progress)))?;
-    session.start()?;
+    session.start();
     prepared.commit()?;
 
     let stopped = || stop.load(Ordering::Relaxed);

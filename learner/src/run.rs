@@ -173,11 +173,11 @@ impl<'a> Loop<'a> {
     fn run(mut self) -> Result<RunResult, RunError> {
         if self.barrier && self.session.done() {
             // The checkpoint is beyond limits that are lower now.
-            self.session.start()?;
+            self.session.start();
             return self.leave(false);
         }
         if !self.barrier {
-            self.session.start()?;
+            self.session.start();
         }
         if self.plan.life.resume_tick.is_some()
             && self.plan.experiment.mentor_len() > 0
@@ -187,7 +187,7 @@ impl<'a> Loop<'a> {
         }
         if self.barrier {
             // With all processes ready; in free mode there may be none for a while.
-            self.session.start()?;
+            self.session.start();
         }
         self.begin()?;
         let lag = self.plan.experiment.config.run.lag == 1;

@@ -205,7 +205,7 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
     let place = tempfile::tempdir().unwrap();
     let dir = RunDir::new(place.path());
     let mut session = Session::new(&plan, &dir, None, Box::new(|_| {})).unwrap();
-    session.start().unwrap();
+    session.start();
     let mut batch = Batch::default();
     for (round, flags) in [(1, TERMINATED), (2, 0), (3, 0)] {
         batch.prepare(BatchHeader { count: 1, obs_dim: 2, ..BatchHeader::default() });

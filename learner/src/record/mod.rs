@@ -50,7 +50,7 @@ use thinning::{EPISODES, EVALUATIONS, INTERVALS, is_kept, stride};
 use trestle_algorithm::agent::{Counters, Episode};
 use trestle_proto::own_file;
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
+use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE, sync_parent};
 
 /// Time between interval rows, as a loop that has no reason for another would set it.
 pub const METRICS_EVERY: Duration = Duration::from_secs(1);
@@ -126,6 +126,7 @@ pub struct Recorder {
 impl Recorder {
     /// For a run from its beginning. `dir` exists; files of an earlier run in it are replaced.
     pub fn create(dir: &Path, settings: Settings) -> Result<Self, RecordError> {
+        forget_result(dir)?;
         let evals = Lines::create(&dir.join(EVALS_FILE), EVALS_HEADER)?;
         let metrics = Lines::create(&dir.join(METRICS_FILE), "")?;
         let events = EventWriter::create(dir, 0)?;
@@ -141,6 +142,7 @@ impl Recorder {
         state: RecorderState,
         counters: Counters,
     ) -> Result<Self, RecordError> {
+        forget_result(dir)?;
         let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows, Lost::Refused)?;
         let metrics = Lines::resume(&dir.join(METRICS_FILE), "", state.metrics_rows, Lost::Accepted)?;
         let events = EventWriter::create(dir, counters.env_steps + 1)?;
@@ -175,16 +177,10 @@ impl Recorder {
     }
 
     /// Begins: call it just before the first tick, when the other processes have answered. `wall_s` counts from here, or without a
-    /// call from the recorder's creation. What an earlier start came to is of no use any more, and is removed; here, where
-    /// the new result is written as well, so that nobody can take the one for the other.
-    pub fn begin(&mut self) -> Result<(), RecordError> {
+    /// call from the recorder's creation.
+    pub fn begin(&mut self) {
         let now = Instant::now();
         (self.started, self.last_interval, self.last_progress) = (now, now, now);
-        let former = self.dir.join(RESULT_FILE);
-        match std::fs::remove_file(&former) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(error::io("remove", &former)(e)),
-            _ => Ok(()),
-        }
     }
 
     /// Seconds of training so far, those before a resumption included.
@@ -352,6 +348,16 @@ impl Recorder {
 /// `value`, if it is one.
 fn known(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
+}
+
+/// Removes what an earlier start in `dir` came to, for good: whoever finds a result takes the lines beside it for whole, and they are about
+/// to be cut back.
+fn forget_result(dir: &Path) -> Result<(), RecordError> {
+    let former = dir.join(RESULT_FILE);
+    match std::fs::remove_file(&former) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        removed => removed.and_then(|()| sync_parent(&former)).map_err(error::io("remove", &former)),
+    }
 }
 
 #[cfg(test)]

@@ -72,7 +72,7 @@ fn metrics(dir: &Path) -> Vec<Value> {
 fn files_hold_what_was_recorded() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
-    recorder.begin().unwrap();
+    recorder.begin();
     play(&mut recorder, 1..=4);
     let one = [Episode { total_reward: -3.4, length: 35, success: Some(true) }];
     recorder.evaluation(&at(5), &one).unwrap();
@@ -121,7 +121,7 @@ fn an_interruption_leaves_no_trace() {
         let state: RecorderState = codec::decode(KIND, &state).unwrap();
         let before_s = state.wall_s;
         let mut recorder = Recorder::resume(dir.path(), settings(goal), state, at(checkpoint)).unwrap();
-        recorder.begin().unwrap();
+        recorder.begin();
         assert!(recorder.wall_s() >= before_s);
         play(&mut recorder, checkpoint + 1..=40);
         let result = recorder.finish(&at(40), &Gauges::default(), ending()).unwrap();
@@ -222,13 +222,15 @@ fn logs_are_bounded() {
 }
 
 #[test]
-fn an_earlier_result_is_gone_from_the_beginning_on() {
+fn an_earlier_result_is_gone_before_lines_are_cut_back() {
     let dir = tempfile::tempdir().unwrap();
     let result = dir.path().join(RESULT_FILE);
-    let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
     std::fs::write(&result, "of an earlier start").unwrap();
-    recorder.begin().unwrap();
+    let mut recorder = Recorder::create(dir.path(), settings(None)).unwrap();
     assert!(!result.exists());
+    let state = recorder.checkpoint().unwrap().0;
     recorder.finish(&at(1), &Gauges::default(), ending()).unwrap();
     assert!(result.exists());
+    drop(Recorder::resume(dir.path(), settings(None), state, at(1)).unwrap());
+    assert!(!result.exists());
 }
