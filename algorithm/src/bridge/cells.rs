@@ -23,7 +23,7 @@ pub const CROWDED_AT_MOST: usize = 1024;
 const MAX_ENTRIES: usize = if cfg!(test) { 1 << 12 } else { 1 << 24 };
 
 /// The states by cell. Memory: about 50 bytes a state, and 4 for each pair of similar states that is listed, which for one
-/// state is at most 64 in each of 27 cells, or after [`Cells::widen`] as many again for all states together as [`MAX_ENTRIES`].
+/// state is at most 64 in each of 27 cells, or after [`Cells::widen`] as many again for all states together as `MAX_ENTRIES`.
 #[derive(Clone, Debug)]
 pub struct Cells {
     axes: Vec<usize>,
@@ -178,7 +178,7 @@ impl Cells {
         self.crowded
     }
 
-    /// Whether lists are kept in crowds that are beyond [`CROWDED`].
+    /// Whether lists are kept in crowds that are beyond `CROWDED`.
     pub fn is_wide(&self) -> bool {
         self.crowded > CROWDED
     }
