@@ -135,7 +135,7 @@ class _Parts:
                 float(highs[index]),
                 category=choice,
                 integral=integral,
-                byte=small or (category and lows[index] >= 0 and highs[index] <= 255),
+                byte=small or bool(category and lows[index] >= 0 and highs[index] <= 255),
             )
         return {"kind": "box", "shape": shape, "dtype": str(space.dtype)}
 
