@@ -7,11 +7,11 @@
 //! - *behind*: no path to the state from where a bridge of the group may begin is shorter.
 //!
 //! A bridge through the newest transition t has at least as many steps as lie behind its beginning and ahead of its end
-//! together, and t. Mostly that is too many in every group, and there is nothing to search for. Otherwise the search leaves out each
-//! state from which the steps that are left do not suffice.
+//! together, and t. Mostly that is too many in every group, and there is nothing to search for.
 //!
 //! All this is kept only while searches without it are dear: after [`WINDOW`] transitions whose searches looked at many
-//! states. Every now and then some searches go without it, to see whether they still are. What is found is the same with and without.
+//! states. Every now and then some searches go without it, to see whether they still are. The bridges found are the same with and
+//! without it.
 //!
 //! A new transition lowers the numbers of the states before it and after it, and that of further ones as far as they
 //! change. A number falls at most k times as long as its state is stored, so the work for a transition is bounded by what
@@ -111,11 +111,6 @@ pub(super) struct Horizon {
     /// Transitions since the last decision, and what their searches looked at.
     transitions: u32,
     looks: u64,
-    /// For the present search: of which groups a bridge may be found, as bits.
-    open: u32,
-    /// See [`Horizon::promises`].
-    after: Steps,
-    before: Steps,
 }
 
 impl Horizon {
@@ -134,9 +129,6 @@ impl Horizon {
             expected: None,
             transitions: 0,
             looks: 0,
-            open: 0,
-            after: [0; GROUPS],
-            before: [0; GROUPS],
         }
     }
 
@@ -264,47 +256,21 @@ impl Horizon {
         [ends, starts]
     }
 
-    /// Whether a bridge through t may be of use. What follows is about t, until this is asked again.
+    /// Whether a bridge through t may be of use.
     pub(super) fn promises(&mut self, new: &Arrival<'_>, path: &Path<'_>, table: &AnnotationTable) -> bool {
-        if !self.is_used() {
-            self.open = u32::MAX;
+        if !self.is_kept || self.is_ignored {
             return true;
         }
         self.refresh(path, table);
         let (ahead, behind) =
             (self.ahead.of[new.t.to as usize].least(), self.behind.of[new.t.from as usize].least());
-        self.open = 0;
-        for g in 0..GROUPS {
-            self.after[g] = self.limits[g].saturating_sub(behind[g]);
-            self.before[g] = self.limits[g].saturating_sub(ahead[g]);
-            self.open |= u32::from(ahead[g] < self.after[g]) << g;
-        }
-        self.open != 0
+        (0..GROUPS).any(|g| ahead[g] < self.limits[g].saturating_sub(behind[g]))
     }
 
     /// Whether the numbers are kept.
     #[cfg(test)]
     pub(super) fn is_kept(&self) -> bool {
         self.is_kept
-    }
-
-    fn is_used(&self) -> bool {
-        self.is_kept && !self.is_ignored
-    }
-
-    /// Whether a bridge of mentor transition `j` may be found.
-    pub(super) fn is_open(&self, j: usize) -> bool {
-        self.open >> self.group(j) & 1 == 1
-    }
-
-    /// Whether a bridge of use may go on from state `id`, which is `level` steps after t.
-    pub(super) fn goes_on(&self, id: u32, level: u32) -> bool {
-        !self.is_used() || is_within(&self.ahead.of[id as usize].onward, level, &self.after)
-    }
-
-    /// Whether a bridge of use may come to state `id` from elsewhere, `level` steps before t.
-    pub(super) fn comes_in(&self, id: u32, level: u32) -> bool {
-        !self.is_used() || is_within(&self.behind.of[id as usize].onward, level, &self.before)
     }
 
     /// Brings limits up to date: one after the other, or all where they may have risen.
@@ -330,12 +296,6 @@ impl Horizon {
             self.limits[g] = (first(g)..first(g + 1)).map(useful).max().unwrap_or(0);
         }
     }
-}
-
-/// Whether some group is `onward` steps from a state `level` steps from t, and that is less than its `room`.
-fn is_within(onward: &Steps, level: u32, room: &Steps) -> bool {
-    let level = level as u8;
-    onward.iter().zip(room).any(|(&steps, &room)| steps.saturating_add(level) < room)
 }
 
 impl Labels {

@@ -16,12 +16,11 @@
 //! as soon as no beginning that it has met, or may still meet, has an end within its steps. Where it is much, those that are
 //! wanted are named after all. Both find the same.
 //!
-//! Before anything else `horizon` is asked whether a bridge can lead through t at all. On the way it says of each state whether one
-//! can still lead through it.
+//! Before anything else `horizon` is asked whether a bridge can lead through t at all.
 //!
-//! The contents of a level do not depend on the order in which the graph keeps the stored transitions. A search that has looked
-//! at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes no further that way. Whether
-//! it does is no function of the stored transitions alone: horizons are lower bounds that depend on what was stored before, too.
+//! The contents of a level depend on the stored transitions alone, not on the order in which the graph keeps them. A search that
+//! has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes no further that way. So
+//! this choice, too, depends on the stored transitions alone.
 
 use super::frontier::{Marks, Side, similar};
 use super::graph::{Graph, News};
@@ -191,7 +190,7 @@ impl Search {
     }
 
     /// Before [`Search::run`], when the transition has been stored: has an index kept in memory, or no longer, whichever makes
-    /// searches cheaper. What they find is the same.
+    /// searches cheaper. The bridges found are the same.
     pub fn prepare(&mut self, graph: &mut Graph, states: &States, path: &Path<'_>) {
         self.horizon.prepare(graph, states, path);
     }
@@ -272,7 +271,7 @@ impl Search {
         table: &AnnotationTable,
     ) -> bool {
         let Arrival { states, t, graph, oldest, starts, ends, .. } = *new;
-        let Self { outlook, horizon, collecting, wanted, .. } = self;
+        let Self { outlook, collecting, wanted, .. } = self;
         let newest = Newest {
             from: states.whitened(t.from),
             to: states.whitened(t.to),
@@ -282,7 +281,6 @@ impl Search {
             path,
             stock: Stock { states, graph, oldest },
             reach: *reach,
-            horizon,
         };
         newest.collect_near(table, outlook, collecting, wanted);
         newest.collect_far(table, outlook, collecting, most, wanted)
@@ -304,7 +302,7 @@ impl Search {
         self.begin(new);
         self.mark(new);
         let first = First { action: t.action, reward: t.reward, to: t.to };
-        for (j, _) in transitions(new.starts, path.order).filter(|&(j, _)| self.horizon.is_open(j)) {
+        for (j, _) in transitions(new.starts, path.order) {
             self.starts.meet(j, 0, first, (table, path), new.states);
         }
         while !ahead.exhausted() && !behind.exhausted() {
@@ -376,7 +374,7 @@ impl Search {
     fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: Option<&Reach>) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { horizon, goals, limits, wanted, ends, beside, stack, hits, .. } = self;
+        let Self { goals, limits, wanted, ends, beside, stack, hits, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
             let few = forward_goals(wanted, path, reach, FEW, goals);
@@ -398,7 +396,6 @@ impl Search {
                     }
                     if link.continues()
                         && continued.first_time(link.to)
-                        && horizon.goes_on(link.to, next)
                         && (!few || within(states.whitened(link.to), limits, path))
                     {
                         next_level.push(link.to);
@@ -434,7 +431,7 @@ impl Search {
     ) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { horizon, goals, limits, wanted, starts, beside, stack, hits, .. } = self;
+        let Self { goals, limits, wanted, starts, beside, stack, hits, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
             let few = backward_goals(wanted, path, reach, FEW, goals);
@@ -476,13 +473,11 @@ impl Search {
             } else {
                 beside[id as usize].hits(state, path, stack, hits);
             }
-            for (j, _) in transitions(hits, path.order).filter(|&(j, _)| horizon.is_open(j)) {
+            for (j, _) in transitions(hits, path.order) {
                 starts.meet(j, next, first, (table, path), states);
             }
         }
-        next_back.retain(|&(id, _)| {
-            horizon.comes_in(id, next) && (!few || within(states.whitened(id), limits, path))
-        });
+        next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
         side.open = !next_back.is_empty();
         std::mem::swap(back, next_back);
     }

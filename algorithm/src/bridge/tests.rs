@@ -7,7 +7,7 @@ use super::oracle::{self, Quality};
 use super::search::Search;
 use super::store::store;
 use super::{Arrival, BridgeRule, Path, Place, cells::Cells, straight};
-use crate::demonstration::Demonstration;
+use crate::demonstration::{Demonstration, Order};
 use crate::history::History;
 use crate::similarity::Similarity;
 use crate::similarity::metric::{APART, Metric, kl};
@@ -353,10 +353,14 @@ fn a_level_beyond_the_limit_is_dropped_whatever_the_order() {
     let similarity = Similarity::new(demo.states().to_vec(), 2, 0.1);
     let path =
         Path { rule: BridgeRule { k: 2, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
-    for (limit, place) in [(15, 0), (15, 10), (15, 19), (1000, 0), (1000, 19)] {
+    let cases = [(15, 0), (15, 10), (15, 19), (1000, 0), (1000, 19)];
+    for ((limit, place), kept) in cases.into_iter().flat_map(|case| [(case, false), (case, true)]) {
         let mut table = AnnotationTable::new(1, 2, 4);
         let mut bench = Bench::new(&demo, 0.1, 100, true);
         bench.search.limit = limit;
+        if kept {
+            bench.keep_horizons(&path);
+        }
         let mut step = |obs: [f32; 2], next_obs: [f32; 2]| {
             let t = Transition { obs: &obs, next_obs: &next_obs, action: 0, reward: 0.0, flags: FIRST };
             bench.observe(0, &t, &path, &mut table);
@@ -372,13 +376,19 @@ fn a_level_beyond_the_limit_is_dropped_whatever_the_order() {
     }
 }
 
-/// A mentor goes from 0 to 1. The observer finds a way of three steps by its sixth transition, and no other one promises anything.
-#[test]
-fn a_horizon_ends_searches_before_they_begin() {
+/// A mentor goes from 0 to 1.
+fn line() -> (Demonstration, Order, Similarity) {
     let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
     demo.push_trajectory(&[0.0, 1.0], false).unwrap();
     let order = demo.order();
     let similarity = Similarity::new(demo.states().to_vec(), 1, 0.1);
+    (demo, order, similarity)
+}
+
+/// The observer finds a way of three steps by its sixth transition, and no other one promises anything.
+#[test]
+fn a_horizon_ends_searches_before_they_begin() {
+    let (demo, order, similarity) = line();
     let path =
         Path { rule: BridgeRule { k: 3, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
     let mut table = AnnotationTable::new(1, 1, 1);
@@ -400,10 +410,7 @@ fn a_horizon_ends_searches_before_they_begin() {
 /// The index is kept from when searches have been dear for some time, and given up once they are cheap.
 #[test]
 fn horizons_are_kept_while_they_pay() {
-    let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
-    demo.push_trajectory(&[0.0, 1.0], false).unwrap();
-    let order = demo.order();
-    let similarity = Similarity::new(demo.states().to_vec(), 1, 0.1);
+    let (demo, order, similarity) = line();
     let path =
         Path { rule: BridgeRule { k: 3, n: 1, e_infeas: 0.1 }, order: &order, similarity: &similarity };
     let mut bench = Bench::new(&demo, 0.1, 100, true);

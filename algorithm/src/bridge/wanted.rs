@@ -6,7 +6,6 @@
 //! look at states that this rules out. It never rules out a state that could improve a bridge.
 
 use super::frontier::Marks;
-use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
 use super::room::Room;
 use super::{NEVER, Path, known};
@@ -150,7 +149,6 @@ pub(super) struct Newest<'a> {
     pub(super) path: &'a Path<'a>,
     pub(super) stock: Stock<'a>,
     pub(super) reach: Reach,
-    pub(super) horizon: &'a Horizon,
 }
 
 /// Working memory of [`Newest::collect_near`] and [`Newest::collect_far`].
@@ -265,11 +263,8 @@ impl Newest<'_> {
         table: &AnnotationTable,
         outlook: &mut Outlook,
     ) -> Option<Wanted> {
-        let Self { to, path, stock, reach, horizon, .. } = self;
+        let Self { to, path, stock, reach, .. } = self;
         let similarity = path.similarity;
-        if !horizon.is_open(j) {
-            return None;
-        }
         let known = known(table, j, &path.rule);
         let most = known.as_ref().map_or(path.rule.k as u32, |known| known.length);
         let longest = most - u32::from(known.is_some());
