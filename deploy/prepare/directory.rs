@@ -85,10 +85,17 @@ impl Resolved {
     /// Makes the run directory `root`, or takes it over, as `existing` says.
     pub(crate) fn prepare(mut self, root: &Path, existing: Existing) -> Result<Prepared> {
         let dir = RunDir::new(root);
-        let occupied = occupied(root)?;
-        let fence = if occupied && existing != Existing::Keep { Some(Fence::take(root)?) } else { None };
-        // Somebody may have been at it until the lock was free.
-        let occupied = self::occupied(root)?;
+        // From the top where another start has given the directory up meanwhile.
+        let fence = loop {
+            if existing == Existing::Keep || !occupied(root)? {
+                break None;
+            }
+            if let Some(fence) = Fence::take(root)? {
+                break Some(fence);
+            }
+        };
+        // Somebody may have been at it until the lock was free. A directory that has come without a lock is `make`'s to judge.
+        let occupied = (fence.is_some() || existing == Existing::Keep) && occupied(root)?;
         clear_away(root, fence.as_ref().is_some_and(Fence::holds));
         let followed = match existing {
             Existing::Resume => Some(self.check_resume(&dir)?),
@@ -384,14 +391,20 @@ impl Drop for Prepared {
 fn make(root: &Path, fresh: bool, existing: Existing) -> Result<Fence> {
     let mut private = DirBuilder::new();
     private.mode(0o700);
-    let made = root.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| private.create(root));
-    match made {
-        Err(e) if e.kind() != ErrorKind::AlreadyExists || !root.is_dir() => {
-            return Err(e).with_context(|| format!("cannot make {}", root.display()));
+    let fence = loop {
+        let made = root.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| private.create(root));
+        match made {
+            // Another start has given the directory up in between.
+            Err(e) if e.kind() == ErrorKind::AlreadyExists && fs::symlink_metadata(root).is_err() => continue,
+            Err(e) if e.kind() != ErrorKind::AlreadyExists || !root.is_dir() => {
+                return Err(e).with_context(|| format!("cannot make {}", root.display()));
+            }
+            _ => {}
         }
-        _ => {}
-    }
-    let fence = Fence::take(root)?;
+        if let Some(fence) = Fence::take(root)? {
+            break fence;
+        }
+    };
     if matches!(existing, Existing::Unsaved | Existing::Overwrite) {
         clear_unborn(root)?;
     }

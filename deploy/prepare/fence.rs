@@ -4,6 +4,7 @@
 //! it and lets its learner, the only other process that writes there, inherit the open file. So it ends with the last of
 //! the two: a learner that outlives its supervisor, for however short a time, keeps the directory locked.
 
+use super::states::replaced;
 use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use nix::unistd::dup;
@@ -29,24 +30,28 @@ pub(crate) struct Fence(Option<File>);
 
 impl Fence {
     /// Takes the lock of the directory `root`. Where the processes of a dead run still have it, they get up to [`FENCE_WAIT`] to
-    /// end. Nobody is kept out where the file system knows no locks; then a warning says so.
+    /// end. Nobody is kept out where the file system knows no locks; then a warning says so. None where the directory has gone.
     ///
     /// # Errors
     /// A run is in progress in the directory, or a process of a former one has not ended in time.
-    pub(super) fn take(root: &Path) -> Result<Self> {
+    pub(super) fn take(root: &Path) -> Result<Option<Self>> {
         let (start, mut said) = (Instant::now(), false);
         loop {
             // Opened anew each time: another start, which had the lock, may have put a directory of its own in the place of this
             // one, or be about to.
             let dir = match File::open(root) {
-                Err(e) if e.kind() == ErrorKind::NotFound && start.elapsed() < FENCE_WAIT => {
+                Err(e) if e.kind() == ErrorKind::NotFound => {
+                    // Without a run beside it that is being replaced, nobody is about to put a directory here.
+                    if start.elapsed() >= FENCE_WAIT || replaced(root).is_empty() {
+                        return Ok(None);
+                    }
                     sleep(LOOK);
                     continue;
                 }
                 opened => opened.with_context(|| format!("cannot open {}", root.display()))?,
             };
             match dir.try_lock() {
-                Ok(()) if is_at(&dir, root) => return Ok(Self(Some(dir))),
+                Ok(()) if is_at(&dir, root) => return Ok(Some(Self(Some(dir)))),
                 Ok(()) => {
                     drop(dir);
                     sleep(LOOK);
@@ -58,7 +63,7 @@ impl Fence {
                         "{} cannot be locked ({error}): see to it that no other run uses it",
                         root.display()
                     );
-                    return Ok(Self(None));
+                    return Ok(Some(Self(None)));
                 }
             }
             let alive = RunDir::new(root)
@@ -160,9 +165,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (root, aside) = (dir.path().join("run"), dir.path().join("run.replaced-7"));
         fs::create_dir(&root).unwrap();
-        let first = Fence::take(&root).unwrap();
+        let first = Fence::take(&root).unwrap().unwrap();
         std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| Fence::take(&root).unwrap());
+            let waiting = scope.spawn(|| Fence::take(&root).unwrap().unwrap());
             // Moved at any moment of the other one's wait, the outcome is the same.
             fs::rename(&root, &aside).unwrap();
             drop(first);
@@ -172,7 +177,7 @@ mod tests {
             assert!(is_at(fence.0.as_ref().unwrap(), &root));
             assert!(try_lock(&root).is_err() && try_lock(&aside).unwrap().is_some());
         });
-        // What is opened and then moved is in use by whoever moved it.
+        // A directory that was opened and then removed is not the one at its path.
         let opened = File::open(&root).unwrap();
         fs::remove_dir(&root).unwrap();
         assert!(!is_at(&opened, &root));
@@ -183,7 +188,7 @@ mod tests {
     #[test]
     fn the_lock_is_inherited_and_ends_with_the_last_who_has_it() {
         let dir = tempfile::tempdir().unwrap();
-        let fence = Fence::take(dir.path()).unwrap();
+        let fence = Fence::take(dir.path()).unwrap().unwrap();
         let other = File::open(dir.path()).unwrap();
         assert!(matches!(other.try_lock(), Err(TryLockError::WouldBlock)));
         let handed_on = fence.inheritable().unwrap();

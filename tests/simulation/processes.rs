@@ -16,7 +16,7 @@ use crate::supervise::children::{Death, How, Role as ChildRole};
 use crate::supervise::restarts::{Restarts, Verdict};
 use crate::supervise::watch::{self, Action, Event, Reach, State};
 use crate::sweep::{self, Outcome, arms::Arm, manifest::Manifest};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ use std::time::Instant;
 use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::LinkError;
-use trestle_link::iceoryx::{Domain, HeldDomain};
+use trestle_link::iceoryx::{Departure, Domain, HeldDomain};
 use trestle_link::local::{LocalActor, LocalLearner, LocalMentor, Wire};
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::Config;
@@ -440,7 +440,7 @@ fn try_child(world: &Arc<World>, role: Role, root: &Path, supervisor: usize) -> 
     let stop = || world.lock().processes[process].told;
     let demonstration = (role == Role::Mentor).then(|| demo_file::read(&dir.demonstration())).transpose()?;
     let mut worker = matches!(role, Role::Actor(_)).then(|| worker(&plan, &dir, index)).transpose()?;
-    join(&plan, role)?;
+    let _departure = join(&plan, role)?;
     let seat = Seat::take(plan.life.run).context("no simulated process")?;
     match role {
         Role::Learner => {
@@ -479,14 +479,17 @@ fn worker(plan: &RunPlan, dir: &RunDir, index: u32) -> Result<Worker> {
 }
 
 /// Joins the run's shared memory: a model. The services must be there, and the process makes a file of its own.
-fn join(plan: &RunPlan, role: Role) -> Result<()> {
+fn join(plan: &RunPlan, role: Role) -> Result<Departure> {
     let domain = Domain::of(plan.life.run);
+    let departure = Departure::of(&domain);
+    ensure!(departure.joined(), "the run is not in progress");
     for service in 0..SERVICES {
         let file = Path::new("/dev/shm").join(format!("{}service-{service}", domain.prefix()));
         fs::metadata(file).context("the run's services are not there")?;
     }
     let name = format!("{}{role:?}", domain.prefix()).replace(['(', ')'], "-");
-    fs::write(Path::new("/dev/shm").join(name), "").context("cannot join the run's shared memory")
+    fs::write(Path::new("/dev/shm").join(name), "").context("cannot join the run's shared memory")?;
+    Ok(departure)
 }
 
 /// The thread of a child that waits for the end of its supervisor: it then ends all others, removes what the run shared, and

@@ -78,6 +78,39 @@ impl Drop for HeldDomain {
     }
 }
 
+/// Removes a run that is over when it is dropped. A process that joins a run makes one first: the run may end, and be removed, while
+/// the process joins.
+#[derive(Debug)]
+pub struct Departure {
+    domain: Domain,
+    joined: bool,
+}
+
+impl Departure {
+    /// Of a process that is about to join the run of `domain`.
+    pub fn of(domain: &Domain) -> Self {
+        Self { joined: domain.is_alive(), domain: domain.clone() }
+    }
+
+    /// Whether the run was in progress then.
+    pub fn joined(&self) -> bool {
+        self.joined
+    }
+}
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        // A run without a root is still being made; or, for a process that found it in progress, others have removed it.
+        let removed = self.joined && matches!(self.domain.root.try_exists(), Ok(false));
+        if !removed && !self.domain.is_dead() {
+            return;
+        }
+        if let Err(error) = self.domain.remove() {
+            tracing::error!("cannot remove what the run shared: {error}; `trestle doctor --fix` can");
+        }
+    }
+}
+
 fn io_error(path: &Path) -> impl FnOnce(io::Error) -> DomainError {
     move |source| DomainError::Io { path: path.into(), source }
 }

@@ -23,7 +23,7 @@ mod wire;
 
 pub use actor::IceoryxActor;
 pub use client::IceoryxClient;
-pub use domain::{Domain, DomainError, HeldDomain};
+pub use domain::{Departure, Domain, DomainError, HeldDomain};
 pub use learner::IceoryxLearner;
 pub use mentor::IceoryxMentor;
 pub use shared_memory::{IceoryxHost, SharedMemory};

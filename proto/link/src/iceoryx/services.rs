@@ -3,7 +3,7 @@
 
 use super::bell::Bells;
 use super::sizes::Sizes;
-use super::{Domain, Ipc, Wire, failed};
+use super::{Departure, Domain, Ipc, Wire, failed};
 use crate::LinkError;
 use iceoryx2::prelude::{Node, ServiceName, ZeroCopySend};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
@@ -43,23 +43,6 @@ pub(super) struct Services {
     pub(super) node: Node<Ipc>,
     /// Goes after everything that leaves a file.
     _departure: Departure,
-}
-
-/// Removes a run whose supervisor is gone when it is dropped. A process that joins a run makes one first: the run may
-/// end, and be removed, while the process joins.
-#[derive(Debug)]
-struct Departure(Domain);
-
-impl Drop for Departure {
-    fn drop(&mut self) {
-        // Not one that has no root yet: a process that comes too early must not remove a run that is being made.
-        if !self.0.is_dead() {
-            return;
-        }
-        if let Err(error) = self.0.remove() {
-            tracing::error!("cannot remove what the run shared: {error}; `trestle doctor --fix` can");
-        }
-    }
 }
 
 /// What happens to a message whose receivers have no room for it.
@@ -190,8 +173,8 @@ impl Services {
     }
 
     fn build(domain: &Domain, plan: &RunPlan, create: bool) -> Result<Self, LinkError> {
-        let departure = Departure(domain.clone());
-        if !domain.is_alive() {
+        let departure = Departure::of(domain);
+        if !departure.joined() {
             return Err(failed("joining the run")("it is not in progress, or another user's"));
         }
         let node = domain.node().map_err(failed("joining the run"))?;
