@@ -139,7 +139,7 @@ impl Train {
         let run = &mut config.run;
         run.seed = self.seed.unwrap_or(run.seed);
         run.mode = self.mode.unwrap_or(run.mode);
-        // Those that are typed are this host's.
+        // The number that is typed counts this host's actors.
         let typed = self.actors.map(|here| here.saturating_add(self.remote.remote_actors.unwrap_or(0)));
         run.actors = typed.unwrap_or(run.actors);
         self.limits.apply(config);

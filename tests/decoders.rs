@@ -345,7 +345,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("manifest", manifest.into_bytes()),
         ("hosts", Frame::bare(frame::Kind::Last, 7, b"a message").encode()),
         ("hosts", Frame::bare(frame::Kind::Hello, 0, &codec::encode(HELLO_KIND, &hello).unwrap()).encode()),
-        ("hosts", message::batch(&batch)),
+        ("hosts", message::batch(&batch.header, batch.payload())),
         ("hosts", message::orders(&orders, &[0, 2], Some((&header_of_acting, &acting)))),
         ("hosts", message::grant(&grant).unwrap()),
         ("hosts", [&[1; 9][..], &[0; 24], &[2; 9], &[0; 24]].concat()),

@@ -2,8 +2,8 @@
 //! reorders what it carries, and can be cut. `deploy/relay/tests` has the same with Zenoh, between hosts that share nothing.
 
 use crate::util::{
-    LIMIT, Place, Process, TRESTLE, Trace, assert_gone, counted, newest_checkpoint, process, processes,
-    result, send, start_command, wait_until,
+    LIMIT, Place, Process, TRESTLE, Trace, assert_gone, counted, free_port, newest_checkpoint, process,
+    processes, result, send, start_command, wait_until,
 };
 use nix::sys::signal::Signal;
 use std::collections::BTreeMap;
@@ -15,7 +15,6 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Duration;
 use trestle_proto::rundir::RunDir;
 
 /// What the stand-in is to do, in its environment: the percentage of records that it loses, the file that cuts it while it is
@@ -45,8 +44,7 @@ impl Hosts {
         );
         let program = place.write("carrier", script);
         fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self { place, program, cut, url: format!("tcp/127.0.0.1:{port}") }
+        Self { place, program, cut, url: format!("tcp/127.0.0.1:{}", free_port()) }
     }
 
     fn start(&self, args: &[String]) -> Process {
@@ -136,7 +134,7 @@ fn a_network_that_is_cut_for_a_while_changes_nothing() {
     let dir = hosts.dir();
     head.wait_for("training", || fs::metadata(dir.metrics()).is_ok_and(|file| file.len() > 0));
     fs::write(&hosts.cut, "").unwrap();
-    thread::sleep(Duration::from_secs(2));
+    head.wait_for("lost records", || fs::metadata(&hosts.cut).is_ok_and(|file| file.len() >= 5));
     fs::remove_file(&hosts.cut).unwrap();
     hosts.ends_as(head, vec![joined], &on_one_host(&[]));
     assert_eq!(result(&dir).restarts, 0);
@@ -302,7 +300,9 @@ impl Channel {
 
     /// The records that come out when `record` goes in.
     fn pass(&mut self, record: Vec<u8>) -> Vec<Vec<u8>> {
-        if self.cut.exists() {
+        // The file's length says how many records were lost. It is not made here.
+        if let Ok(mut cut) = OpenOptions::new().append(true).open(&self.cut) {
+            cut.write_all(b".").unwrap();
             return Vec::new();
         }
         let loss = u64::from(self.loss);
@@ -365,8 +365,12 @@ fn connect(address: &str, id: u64, channel: Channel) {
     let (again, address) = (link.clone(), address.to_string());
     thread::spawn(move || {
         loop {
-            thread::sleep(Duration::from_millis(50));
-            let Ok(mut stream) = TcpStream::connect(&address) else { continue };
+            let mut found = None;
+            wait_until(LIMIT, || {
+                found = TcpStream::connect(&address).ok();
+                found.is_some()
+            });
+            let Some(mut stream) = found else { continue };
             *again.lock().unwrap() = Some(stream.try_clone().unwrap());
             while let Some((_, bytes)) = read(&mut stream) {
                 write(&mut *output.lock().unwrap(), 0, &bytes);

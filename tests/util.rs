@@ -8,6 +8,7 @@ use signal_hook::flag;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Read;
+use std::net::TcpListener;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -97,6 +98,11 @@ impl Place {
         let episodes: &[&str] = if by_steps { &["--episodes", "1000000000"] } else { &[] };
         own.into_iter().chain(args.iter().chain(algo).chain(episodes).map(ToString::to_string)).collect()
     }
+}
+
+/// A port that nobody has.
+pub(crate) fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// Waits until `condition` holds; false if `limit` was over first.

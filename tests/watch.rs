@@ -1,17 +1,14 @@
 //! The live page as a command, and beside a training.
 
-use crate::util::{LIMIT, Outcome, Place, Process, result, start, start_under, trestle, wait_until};
+use crate::util::{
+    LIMIT, Outcome, Place, Process, free_port, result, start, start_under, trestle, wait_until,
+};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt;
-
-/// A port that nobody has.
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
 
 /// The body of the answer to a GET, if there is one.
 fn get(port: u16, path: &str) -> Option<String> {

@@ -7,6 +7,7 @@ use crate::supervise::{self, HeldSignals, Parted};
 use anyhow::{Result, ensure};
 use std::fs;
 use trestle_hosts::limits::MAX_NAME;
+use trestle_hosts::message::{is_name, is_plain};
 use trestle_link::logging;
 
 pub(super) fn run(args: &Join) -> Result<ExitCode> {
@@ -16,10 +17,7 @@ pub(super) fn run(args: &Join) -> Result<ExitCode> {
         Some(name) => name.clone(),
         None => own_name(),
     };
-    ensure!(
-        !name.is_empty() && name.len() <= MAX_NAME && name.chars().all(is_plain),
-        "--name {name}; accepted: 1 to {MAX_NAME} letters, digits, `-`, `_` and `.`"
-    );
+    ensure!(is_name(&name), "--name {name}; accepted: 1 to {MAX_NAME} letters, digits, `-`, `_` and `.`");
     let held = HeldSignals::new()?;
     let joining = Joining {
         url: args.url.clone(),
@@ -33,10 +31,6 @@ pub(super) fn run(args: &Join) -> Result<ExitCode> {
         Parted::Over => Ok(ExitCode::SUCCESS),
         Parted::Interrupted => Ok(ExitCode::from(INTERRUPTED)),
     }
-}
-
-fn is_plain(c: char) -> bool {
-    c.is_ascii_alphanumeric() || "-_.".contains(c)
 }
 
 /// This machine's name, as far as it is plain.

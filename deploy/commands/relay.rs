@@ -8,7 +8,7 @@ use crate::output::say;
 use crate::prepare::draw;
 use crate::status::{ExitCode, LOST_HOST, LOST_PEER, TOLD};
 use crate::supervise::{FAREWELL, GRANTED};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::io::{Write, stdout};
 use std::path::Path;
@@ -38,13 +38,15 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
         RelayRole::Head { role, first, listen, network, replacements } => {
             let start = Start::new(role, "relay")?;
             let plan = &start.plan;
+            let actors = plan.experiment.config.run.actors;
+            ensure!(*first < actors, "--first {first}; accepted: less than {actors} (run.actors)");
             let mut program = carrier::command()?;
             program.arg("listen").arg(listen).args(carrier::options(network));
             let mut wire = Program::start(program)?;
             let options = head::Options {
                 build: BUILD.into(),
                 session: draw()?,
-                actors: *first..plan.experiment.config.run.actors,
+                actors: *first..actors,
                 silence: Duration::from_secs(network.host_silence.into()),
                 replacements: *replacements,
                 files: files(&start.dir, plan)?,
@@ -55,10 +57,8 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
             let dir = RunDir::new(&role.run);
             let ordered = Ordered::new(role, "relay", *identity)?;
             let mut program = carrier::command()?;
-            let mut id = draw()?;
-            while id == u64::MAX {
-                id = draw()?;
-            }
+            // Never u64::MAX, which is no peer.
+            let id = draw()? >> 1;
             program.arg("connect").arg(url).arg(format!("{id:016x}")).args(carrier::options(network));
             let mut wire = Program::start(program)?;
             let options = joined::Options {
@@ -73,28 +73,29 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
                 Err(error) => return ended(Err(error)),
             };
             let plan = RunPlan::decode(&grant.plan)?;
-            unpack(&dir, &plan, *identity, &grant)?;
+            let here = unpack(&dir, &plan, *identity, &grant)?;
             let seats: Vec<String> =
                 grant.seats.iter().map(|seat| format!("{}:{}", seat.actor, seat.incarnation)).collect();
             tell(&format!("{GRANTED}{}", seats.join(" ")));
-            let mut end = joined.idle(&mut wire, &ordered.go(), &stop)?;
-            if end.is_none() {
-                let actors: Vec<u32> = grant.seats.iter().map(|seat| seat.actor).collect();
-                let reason = || {
-                    fs::read_to_string(dir.root().join(FAREWELL)).unwrap_or_else(|_| "told to leave".into())
-                };
-                end = match joined.serve(&mut wire, &plan, *identity, &actors, &stop, &reason) {
-                    Ok(end) => Some(end),
-                    Err(error) => return ended(Err(error)),
-                };
-            }
+            let reason =
+                || fs::read_to_string(dir.root().join(FAREWELL)).unwrap_or_else(|_| "told to leave".into());
+            let end = match joined.idle(&mut wire, &ordered.go(), &stop, &reason)? {
+                Some(end) => end,
+                None => {
+                    let actors: Vec<u32> = grant.seats.iter().map(|seat| seat.actor).collect();
+                    match joined.serve(&mut wire, &here, plan.life.run, &actors, &stop, &reason) {
+                        Ok(end) => end,
+                        Err(error) => return ended(Err(error)),
+                    }
+                }
+            };
             match end {
-                Some(Ended::Over(reason)) => {
+                Ended::Over(reason) => {
                     tell(&reason);
                     Ok(ExitCode::SUCCESS)
                 }
-                Some(Ended::Session(reason)) => ended(Err(RelayError::Lost(reason))),
-                Some(Ended::Told) | None => Ok(ExitCode::from(TOLD)),
+                Ended::Session(reason) => ended(Err(RelayError::Lost(reason))),
+                Ended::Told => Ok(ExitCode::from(TOLD)),
             }
         }
     }
@@ -126,8 +127,8 @@ fn files(dir: &RunDir, plan: &RunPlan) -> Result<Vec<(String, Vec<u8>)>> {
     checkpoint::FOR_ACTORS.iter().map(read).collect()
 }
 
-/// Writes what the head has sent into the directory of this host.
-fn unpack(dir: &RunDir, plan: &RunPlan, identity: u64, grant: &Grant) -> Result<()> {
+/// Writes what the head has sent into the directory of this host, and returns this host's plan: that of the head, under another identity.
+fn unpack(dir: &RunDir, plan: &RunPlan, identity: u64, grant: &Grant) -> Result<RunPlan> {
     let save = |path: &Path, bytes: &[u8]| {
         write_atomically(path, Durable::Later, |file| file.write_all(bytes))
             .with_context(|| format!("cannot write {}", path.display()))
@@ -143,5 +144,6 @@ fn unpack(dir: &RunDir, plan: &RunPlan, identity: u64, grant: &Grant) -> Result<
         }
     }
     let here = RunPlan { life: Life { run: identity, ..plan.life }, experiment: plan.experiment.clone() };
-    save(&dir.plan(), &here.encode()?)
+    save(&dir.plan(), &here.encode()?)?;
+    Ok(here)
 }

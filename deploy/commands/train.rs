@@ -83,7 +83,6 @@ pub(super) fn go(
     remote: &Remote,
     quiet: bool,
 ) -> Result<ExitCode> {
-    let listening = Listening::of(remote, &config.run)?;
     let existing = match existing {
         // A batch script types the same command each time, the first time included.
         Existing::Resume if !root.exists() || prepare::nothing_saved(root) => {
@@ -105,6 +104,7 @@ pub(super) fn go(
         Existing::Keep | Existing::Unsaved | Existing::Overwrite => prepare::resolve(config)?,
     };
     let mode = resolved.config.run.mode;
+    let listening = Listening::of(remote, &resolved.config.run)?;
     if mode != typed {
         crate::output::say("note: a run that began in one process goes on in several, with the same weights");
     }

@@ -4,10 +4,10 @@
 //! It goes from session to session. One begins with a hello and ends with the run, with the loss of the head, or with the death of a
 //! process of this host. What was counted in a session means nothing to the next.
 
-use super::Report;
 use super::children::{self, Child, Death, How, Role, log_tail};
 use super::restarts::{Restarts, Verdict};
 use super::signals::{HeldSignals, Request, Signals};
+use super::{Report, until_gone};
 use crate::TRANSPORT;
 use crate::carrier::Joining;
 use crate::prepare::{Needs, check, draw};
@@ -227,7 +227,7 @@ impl Session<'_> {
         ))
     }
 
-    /// Takes in all signs of life, and kills whoever counts as dead. Returns whether a process was asked to leave.
+    /// Takes in all signs of life, and kills each process that counts as dead. Returns whether a process was asked to leave.
     fn signs_of_life(&mut self) -> bool {
         let mut asked = false;
         for child in self.children.iter_mut().filter(|child| child.running && child.fault.is_none()) {
@@ -290,24 +290,6 @@ impl Session<'_> {
     /// Asks all that still run to leave, and kills those that do not.
     async fn end_all(&mut self, inbox: &mut mpsc::Receiver<Report>) {
         self.children.iter_mut().filter(|child| child.running).for_each(Child::leave);
-        let mut deadline = Box::pin(sleep(GRACE));
-        let mut killed = false;
-        while self.children.iter().any(|child| child.running) {
-            tokio::select! {
-                () = &mut deadline, if !killed => {
-                    killed = true;
-                    self.children.iter().filter(|child| child.running).for_each(Child::kill);
-                }
-                report = inbox.recv() => match report {
-                    Some(Report::Exited(role, _)) => {
-                        if let Some(child) = self.children.iter_mut().find(|child| child.role == role) {
-                            child.running = false;
-                        }
-                    }
-                    Some(_) => {}
-                    None => return,
-                }
-            }
-        }
+        until_gone(&mut self.children, inbox, GRACE).await;
     }
 }

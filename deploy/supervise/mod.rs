@@ -1,7 +1,7 @@
 //! One run: what it shares held, children started and reaped, progress shown, everything cleaned up.
 //!
 //! A run is one attempt after the other: when a process dies, the others are stopped, and all are started again from
-//! the newest complete checkpoint, under a new identity and with nothing shared with the one before, as if the run were resumed by hand.
+//! the newest complete checkpoint. They have a new identity and share nothing with the attempt before, as if the run were resumed by hand.
 //!
 //! - `watch`: what is done about whatever happens, as a table;
 //! - `drive`: the events of that table, and its actions;
@@ -36,7 +36,7 @@ use restarts::{Restarts, Verdict};
 pub(crate) use signals::{HeldSignals, Signals, asking};
 use std::ops::ControlFlow;
 use std::process::ExitStatus;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use trestle_learner::record::Progress;
 use trestle_link::{Host, Transport};
@@ -142,7 +142,12 @@ async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, hos
         // Before they die: if this process is killed, too, while they are dying, nobody is left to remove anything.
         tracing::warn!("{error}");
     }
-    let mut deadline = Box::pin(tokio::time::sleep(if learner_left { GRACE } else { Default::default() }));
+    until_gone(children, inbox, if learner_left { GRACE } else { Duration::ZERO }).await;
+}
+
+/// Waits for the end of all that still runs, and kills it after `grace`.
+async fn until_gone(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, grace: Duration) {
+    let mut deadline = Box::pin(tokio::time::sleep(grace));
     let mut killed = false;
     while children.iter().any(|child| child.running) {
         tokio::select! {

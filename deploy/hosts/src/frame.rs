@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable, bytes_of, pod_read_unaligned};
 const MAGIC: [u8; 4] = *b"TRRL";
 /// Version of this layout, and of everything that is carried in it.
 const VERSION: u16 = 1;
-const HEADER: usize = size_of::<Header>();
+pub(crate) const HEADER: usize = size_of::<Header>();
 /// Largest frame, bytes.
 pub const MAX_FRAME: usize = HEADER + CHUNK;
 

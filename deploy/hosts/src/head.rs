@@ -8,10 +8,10 @@
 
 use crate::RelayError;
 use crate::frame::{Frame, Kind};
-use crate::limits::{FAREWELL, FAREWELLS, MAX_HOSTS, MAX_NAME, MAX_TEXT};
-use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat};
+use crate::limits::{FAREWELL, FAREWELLS, MAX_HOSTS, MAX_NAME};
+use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat, is_name};
 use crate::stream::{Counts, Stream};
-use crate::wire::Wire;
+use crate::wire::Program;
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -71,8 +71,8 @@ enum Delivery {
     Wrong(String),
 }
 
-struct Head<'a, W> {
-    wire: &'a mut W,
+struct Head<'a> {
+    wire: &'a mut Program,
     say: &'a mut dyn FnMut(&str),
     plan: &'a RunPlan,
     options: &'a Options,
@@ -121,8 +121,8 @@ impl Clock {
 ///
 /// # Errors
 /// A host that a run in lockstep cannot go on without is lost; the learner is; or the wire carries nothing any more.
-pub fn run<W: Wire>(
-    wire: &mut W,
+pub fn run(
+    wire: &mut Program,
     plan: &RunPlan,
     options: &Options,
     stop: Stop<'_>,
@@ -163,7 +163,7 @@ pub fn run<W: Wire>(
     ended
 }
 
-impl<W: Wire> Head<'_, W> {
+impl Head<'_> {
     fn serve(&mut self, stop: Stop<'_>) -> Result<(), RelayError> {
         while !stop() {
             pulse::step();
@@ -239,8 +239,7 @@ impl<W: Wire> Head<'_, W> {
             );
             return Ok(());
         };
-        let sound = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if hello.name.is_empty() || hello.name.len() > MAX_NAME || !hello.name.chars().all(sound) {
+        if !is_name(&hello.name) {
             let reason = format!("its name is not made of 1 to {MAX_NAME} letters, digits, `-`, `_` and `.`");
             self.refuse(peer, "a host", &reason, false);
             return Ok(());
@@ -255,7 +254,7 @@ impl<W: Wire> Head<'_, W> {
             return Ok(());
         }
         let free: Vec<usize> = (0..self.holders.len()).filter(|&seat| self.holders[seat].is_none()).collect();
-        if hello.actors == 0 || free.is_empty() || self.hosts.len() >= MAX_HOSTS {
+        if hello.actors == 0 || free.is_empty() {
             let taken: Vec<String> =
                 self.hosts.values().map(|host| format!("{} has {}", host.name, host.actors.len())).collect();
             let reason =
@@ -472,7 +471,6 @@ impl<W: Wire> Head<'_, W> {
             Ok(()) => (Kind::Farewell, "the run has stopped".into()),
             Err(error) => (Kind::Farewell, error.to_string()),
         };
-        let text: String = text.chars().take(MAX_TEXT / 4).collect();
         let farewell = Frame::bare(kind, self.options.session, text.as_bytes()).encode();
         for host in self.hosts.values() {
             let counts = counted(host.stream.counts(), host.stream.round_trip());

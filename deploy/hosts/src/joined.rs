@@ -12,13 +12,13 @@ use crate::head::{Clock, counted};
 use crate::limits::{BACKLOG, FAREWELLS, HELLO};
 use crate::message::{self, FromHead, Grant, HELLO_KIND, Hello};
 use crate::stream::Stream;
-use crate::wire::Wire;
+use crate::wire::Program;
 use std::time::Duration;
 use trestle_link::iceoryx::IceoryxLearner;
 use trestle_link::iceoryx::relay::{self, Whom};
 use trestle_link::{FromActor, LearnerLink, Stop, logging, pulse};
 use trestle_proto::acting::{Acting, ActingHeader, Room};
-use trestle_proto::batch::{Batch, Checked};
+use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::codec::{self, MAX_BODY};
 use trestle_proto::limits::WAIT_SLICE;
 use trestle_proto::orders::Orders;
@@ -64,8 +64,8 @@ pub struct Joined {
 ///
 /// # Errors
 /// The head refuses this host, says nothing for too long, or ends the session at once; the wire carries nothing any more.
-pub fn join<W: Wire>(
-    wire: &mut W,
+pub fn join(
+    wire: &mut Program,
     options: &Options,
     stop: Stop<'_>,
     say: &mut dyn FnMut(&str),
@@ -140,7 +140,7 @@ pub fn join<W: Wire>(
 
 impl Joined {
     /// Takes in what has come from the head.
-    fn pump(&mut self, wire: &mut impl Wire) -> Result<bool, RelayError> {
+    fn pump(&mut self, wire: &mut Program) -> Result<bool, RelayError> {
         let mut came = false;
         while let Some((_, bytes)) = wire.recv()? {
             let Some(frame) = Frame::decode(&bytes) else { continue };
@@ -178,7 +178,7 @@ impl Joined {
     }
 
     /// Sends what is due; returns how long there is nothing more to send.
-    fn flush(&mut self, wire: &mut impl Wire) -> Duration {
+    fn flush(&mut self, wire: &mut Program) -> Duration {
         let now = self.clock.look();
         while let Some(frame) = self.stream.poll(now) {
             wire.send(HEAD, frame);
@@ -186,7 +186,7 @@ impl Joined {
         self.stream.due().saturating_sub(now).min(WAIT_SLICE)
     }
 
-    fn farewell(&mut self, wire: &mut impl Wire, reason: &str) {
+    fn farewell(&mut self, wire: &mut Program, reason: &str) {
         let farewell = Frame::bare(Kind::Farewell, self.stream.session(), reason.as_bytes()).encode();
         (0..FAREWELLS).for_each(|_| wire.send(HEAD, farewell.clone()));
     }
@@ -197,13 +197,14 @@ impl Joined {
     /// The wire carries nothing any more.
     pub fn idle(
         &mut self,
-        wire: &mut impl Wire,
+        wire: &mut Program,
         ready: &dyn Fn() -> bool,
         stop: Stop<'_>,
+        reason: &dyn Fn() -> String,
     ) -> Result<Option<Ended>, RelayError> {
         while !ready() {
             if stop() {
-                self.farewell(wire, "told to leave");
+                self.farewell(wire, &reason());
                 return Ok(Some(Ended::Told));
             }
             pulse::step();
@@ -217,14 +218,14 @@ impl Joined {
         Ok(None)
     }
 
-    /// Serves the actors of this host, by the indices in `actors`, with `plan`, which is the head's but for the run's identity `run`.
-    /// `news` is told of the generation of each new learner; `reason` is what the head is told when `stop` says that this is the end.
+    /// Serves the actors of this host, by the indices in `actors`, with this host's `plan`, which is the head's but for the run's identity:
+    /// that is `run` there. `reason` is what the head is told when `stop` says that this is the end.
     ///
     /// # Errors
     /// Messages of the head that cannot be right; a transport that fails; the wire carries nothing any more.
     pub fn serve(
         &mut self,
-        wire: &mut impl Wire,
+        wire: &mut Program,
         plan: &RunPlan,
         run: u64,
         actors: &[u32],
@@ -232,14 +233,12 @@ impl Joined {
         reason: &dyn Fn() -> String,
     ) -> Result<Ended, RelayError> {
         let experiment = &plan.experiment;
-        let here =
-            RunPlan { life: trestle_proto::plan::Life { run, ..plan.life }, experiment: experiment.clone() };
-        let mut link = relay::learner(&here)?;
-        wire.wake_by(relay::waker(run, Whom::Learner)?);
+        let mut link = relay::learner(plan)?;
+        wire.wake_by(relay::waker(plan.life.run, Whom::Learner)?);
         let mut serving = Serving {
             link: &mut link,
-            run: plan.life.run,
-            here: run,
+            run,
+            here: plan.life.run,
             actors,
             sizes: experiment.sizes().into_iter().map(|n| n as u32).collect(),
             room: experiment.own_room(),
@@ -305,9 +304,8 @@ impl Serving<'_> {
         Ok(match self.link.recv(&mut self.batch, 1, Duration::ZERO)? {
             None => None,
             Some(FromActor::Batch) => {
-                let mut message = message::batch(&self.batch);
-                message[1..9].copy_from_slice(&self.run.to_le_bytes());
-                Some(message)
+                let header = BatchHeader { run: self.run, ..self.batch.header };
+                Some(message::batch(&header, self.batch.payload()))
             }
             Some(FromActor::Reply(mut reply)) => {
                 reply.header.run = self.run;

@@ -10,7 +10,7 @@ pub const WINDOW: u64 = 64;
 pub const BACKLOG: usize = 32 << 20;
 /// Most bytes of a hello, a refusal or a farewell.
 pub const MAX_TEXT: usize = 4096;
-/// Hosts that a head talks to at once, those that are being refused included.
+/// Hosts whose refusal a head tells people of, at the most.
 pub const MAX_HOSTS: usize = 80;
 /// Frames that may wait to be looked at, or to be sent. More are dropped, and sent again.
 pub const QUEUE: usize = 256;

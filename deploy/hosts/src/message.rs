@@ -3,10 +3,12 @@
 //! The first byte of a message says what it is. Batches, replies, orders and weights are those of shared memory
 //! (`docs/protocol.md`), header first; every number is checked where it is received.
 
+use crate::limits::MAX_NAME;
 use bytemuck::{Pod, bytes_of, cast_slice, pod_read_unaligned};
 use serde::{Deserialize, Serialize};
+use std::mem::offset_of;
 use trestle_proto::acting::{Acting, ActingHeader};
-use trestle_proto::batch::{Batch, BatchHeader};
+use trestle_proto::batch::BatchHeader;
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::orders::{Orders, Share};
 use trestle_proto::reply::{Reply, ReplyHeader};
@@ -22,7 +24,17 @@ const BATCH: u8 = 3;
 const REPLY: u8 = 4;
 
 /// Bytes of orders before the shares.
-const ORDERS_HEAD: usize = size_of::<Orders>() - size_of::<[Share; 64]>();
+const ORDERS_HEAD: usize = offset_of!(Orders, shares);
+
+/// Whether the name of a host may have this character.
+pub fn is_plain(c: char) -> bool {
+    c.is_ascii_alphanumeric() || "-_.".contains(c)
+}
+
+/// Whether this can be the name of a host: 1 to [`MAX_NAME`] plain characters.
+pub fn is_name(name: &str) -> bool {
+    (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_plain)
+}
 
 /// What a host says of itself when it wants to join.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,7 +63,7 @@ pub struct Grant {
     pub plan: Vec<u8>,
     /// The actors that it is to run.
     pub seats: Vec<Seat>,
-    /// Files of the checkpoint that the run goes on from: those that actors read, with their names.
+    /// Files of the checkpoint that the run goes on from: the files that actors read, by name.
     pub files: Vec<(String, Vec<u8>)>,
 }
 
@@ -106,8 +118,8 @@ pub fn orders(orders: &Orders, actors: &[u32], acting: Option<(&ActingHeader, &A
 }
 
 /// A batch as a message.
-pub fn batch(batch: &Batch) -> Vec<u8> {
-    [&[BATCH], bytes_of(&batch.header), cast_slice(batch.payload())].concat()
+pub fn batch(header: &BatchHeader, payload: &[u32]) -> Vec<u8> {
+    [&[BATCH], bytes_of(header), cast_slice(payload)].concat()
 }
 
 /// A reply as a message.
@@ -177,6 +189,7 @@ impl FromHost {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use trestle_proto::batch::Batch;
 
     #[test]
     fn messages_come_back_as_they_were() {
@@ -203,7 +216,7 @@ mod tests {
         assert!(matches!(FromHost::decode(&reply(&sent)).unwrap(), FromHost::Reply(came) if came == sent));
         let mut sent = Batch::default();
         sent.prepare(BatchHeader { actor: 3, count: 2, obs_dim: 1, ..BatchHeader::default() });
-        match FromHost::decode(&batch(&sent)).unwrap() {
+        match FromHost::decode(&batch(&sent.header, sent.payload())).unwrap() {
             FromHost::Batch(header, payload) => {
                 assert!(*header == sent.header && payload == sent.payload());
             }

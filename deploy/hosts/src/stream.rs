@@ -1,7 +1,7 @@
 //! Messages of any size in both directions of a session, over accounts of chunks.
 
 use crate::account::{Receiver, Sender};
-use crate::frame::{Frame, Kind};
+use crate::frame::{Frame, HEADER, Kind};
 use crate::limits::{CHUNK, SIGN};
 use std::time::Duration;
 
@@ -111,7 +111,7 @@ impl Stream {
 
     /// Takes in a frame of this session that came at `now`. False: its numbers cannot be right.
     pub fn receive(&mut self, frame: &Frame<'_>, now: Duration) -> bool {
-        self.bytes.1 += frame.bytes.len() as u64 + 48;
+        self.bytes.1 += (frame.bytes.len() + HEADER) as u64;
         let backlog = &mut self.backlog;
         let done = |chunk: Chunk| *backlog -= chunk.bytes.len();
         if !self.sender.acknowledge(frame.acknowledged, frame.room, now, done) {

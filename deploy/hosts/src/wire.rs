@@ -16,6 +16,8 @@ const GREETING: &str = "trestle-relay 1";
 const MAX_LINE: usize = 1000;
 /// The peer of records that are the program's own news.
 const NEWS: u64 = u64::MAX;
+/// How long it may take to write what waits, once it is to end.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A wire that carries nothing any more.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -36,22 +38,6 @@ pub enum WireError {
 /// Called whenever a frame has come, by the thread that has received it.
 pub type Waker = Box<dyn Fn() + Send>;
 
-/// Carries frames to peers and from them. A joined host has one peer, the head, which is 0.
-pub trait Wire {
-    /// Sends a frame, or loses it. Never waits.
-    fn send(&mut self, peer: u64, frame: Vec<u8>);
-    /// The next frame that has come, and whence.
-    fn recv(&mut self) -> Result<Option<(u64, Vec<u8>)>, WireError>;
-    /// Waits until a frame has come, `timeout` at the most.
-    fn wait(&mut self, timeout: Duration);
-    /// From now on `waker` is called whenever a frame has come.
-    fn wake_by(&mut self, waker: Waker);
-    /// What it has said last of something that went wrong.
-    fn trouble(&self) -> Option<String> {
-        None
-    }
-}
-
 #[derive(Default)]
 struct Arrived {
     frames: VecDeque<(u64, Vec<u8>)>,
@@ -62,7 +48,7 @@ struct Arrived {
 
 /// Frames that have come, up to [`QUEUE`], for one thread that takes them and others that bring them.
 #[derive(Clone, Default)]
-pub struct Inbox(Arc<(Mutex<Arrived>, Condvar)>);
+struct Inbox(Arc<(Mutex<Arrived>, Condvar)>);
 
 impl Inbox {
     fn lock(&self) -> MutexGuard<'_, Arrived> {
@@ -70,7 +56,7 @@ impl Inbox {
     }
 
     /// Brings a frame. Where there is no room for it, it is lost.
-    pub fn bring(&self, peer: u64, frame: Vec<u8>) {
+    fn bring(&self, peer: u64, frame: Vec<u8>) {
         let mut arrived = self.lock();
         if arrived.frames.len() < QUEUE {
             arrived.frames.push_back((peer, frame));
@@ -92,8 +78,8 @@ impl Inbox {
         }
     }
 
-    /// See [`Wire::recv`].
-    pub fn take(&self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
+    /// See [`Program::recv`].
+    fn take(&self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
         let mut arrived = self.lock();
         match (arrived.frames.pop_front(), &arrived.failed) {
             (None, Some(error)) => Err(error.clone()),
@@ -101,22 +87,35 @@ impl Inbox {
         }
     }
 
-    /// See [`Wire::wait`].
-    pub fn wait(&self, timeout: Duration) {
+    /// Waits until nothing will come any more, `timeout` at the most.
+    fn wait_for_the_end(&self, timeout: Duration) {
+        let goes_on = |arrived: &mut Arrived| arrived.failed.is_none();
+        drop(
+            self.0
+                .1
+                .wait_timeout_while(self.lock(), timeout, goes_on)
+                .unwrap_or_else(PoisonError::into_inner),
+        );
+    }
+
+    /// See [`Program::wait`].
+    fn wait(&self, timeout: Duration) {
         let nothing = |arrived: &mut Arrived| arrived.frames.is_empty() && arrived.failed.is_none();
         let waited = self.0.1.wait_timeout_while(self.lock(), timeout, nothing);
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// See [`Wire::wake_by`].
-    pub fn wake_by(&self, waker: Waker) {
-        // Whatever has come before was not called out.
-        waker();
-        self.lock().waker = Some(waker);
+    /// See [`Program::wake_by`].
+    fn wake_by(&self, waker: Waker) {
+        let mut arrived = self.lock();
+        arrived.waker = Some(waker);
+        // Frames that have come before were not called out.
+        self.ring(&arrived);
     }
 }
 
-/// The program that carries frames between hosts, `trestle-relay`, behind pipes. It ends with this.
+/// The program that carries frames to peers and from them, `trestle-relay`, behind pipes. A joined host has one peer, the head, which
+/// is 0. The program ends with this.
 pub struct Program {
     inbox: Inbox,
     outbox: Option<SyncSender<(u64, Vec<u8>)>>,
@@ -170,44 +169,45 @@ impl Program {
         });
         Ok(Self { inbox, outbox: Some(outbox), child })
     }
+
+    /// Sends a frame, or loses it. Never waits.
+    pub fn send(&mut self, peer: u64, frame: Vec<u8>) {
+        if let Some(outbox) = &self.outbox {
+            let _ = outbox.try_send((peer, frame));
+        }
+    }
+
+    /// The next frame that has come, and the peer that has sent it.
+    ///
+    /// # Errors
+    /// The program has ended.
+    pub fn recv(&mut self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
+        self.inbox.take()
+    }
+
+    /// Waits until a frame has come, `timeout` at the most.
+    pub fn wait(&mut self, timeout: Duration) {
+        self.inbox.wait(timeout);
+    }
+
+    /// From now on `waker` is called whenever a frame has come.
+    pub fn wake_by(&mut self, waker: Waker) {
+        self.inbox.wake_by(waker);
+    }
+
+    /// What the program has said last of something that went wrong.
+    pub fn trouble(&self) -> Option<String> {
+        self.inbox.lock().trouble.clone()
+    }
 }
 
 impl Drop for Program {
     fn drop(&mut self) {
         // Its standard input ends when all that waits has been written, and so does it.
         self.outbox = None;
-        for _ in 0..50 {
-            if !matches!(self.child.try_wait(), Ok(None)) {
-                return;
-            }
-            thread::sleep(Duration::from_millis(20));
-        }
+        self.inbox.wait_for_the_end(PATIENCE);
         let _ = self.child.kill();
         let _ = self.child.wait();
-    }
-}
-
-impl Wire for Program {
-    fn send(&mut self, peer: u64, frame: Vec<u8>) {
-        if let Some(outbox) = &self.outbox {
-            let _ = outbox.try_send((peer, frame));
-        }
-    }
-
-    fn recv(&mut self) -> Result<Option<(u64, Vec<u8>)>, WireError> {
-        self.inbox.take()
-    }
-
-    fn wait(&mut self, timeout: Duration) {
-        self.inbox.wait(timeout);
-    }
-
-    fn wake_by(&mut self, waker: Waker) {
-        self.inbox.wake_by(waker);
-    }
-
-    fn trouble(&self) -> Option<String> {
-        self.inbox.lock().trouble.clone()
     }
 }
 

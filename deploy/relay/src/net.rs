@@ -71,7 +71,7 @@ pub(crate) fn connect(url: &Url, id: u64, credentials: Option<&str>) -> Result<(
         r#"{"period_init_ms":200,"period_max_ms":1000,"period_increase_factor":2.0}"#,
     )?;
     let output = pipe::output();
-    // Opening waits until there is a connection; whoever started this may be gone before.
+    // Opening waits until there is a connection; the process that started this one may be gone before.
     let (sender, opened) = sync_channel(1);
     thread::spawn(move || sender.send(zenoh::open(config).wait()));
     greet(&output)?;

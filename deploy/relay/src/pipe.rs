@@ -50,8 +50,7 @@ fn write(pipe: &mut impl Write, peer: u64, bytes: &[u8]) -> std::io::Result<()> 
     pipe.flush()
 }
 
-/// What takes records for standard output, whence a thread of its own writes them: whoever hands one in never waits, and one
-/// that finds no room is dropped.
+/// Takes records for standard output; a thread of its own writes them. A record that finds no room may be dropped: see `hand_on`.
 pub(crate) fn output() -> SyncSender<Record> {
     let (sender, records): (_, Receiver<Record>) = sync_channel(WAITING);
     thread::spawn(move || {
