@@ -234,12 +234,13 @@ impl<'a> Session<'a> {
             experiment,
             life,
             dir,
-            timeline: Timeline::resume(experiment, dir, transitions.as_ref(), counters),
             candidate: (Round::default(), Vec::new()),
             // Also one of evaluations that the run goes back behind: its weights are there.
             best: checkpoint::best_so_far(dir.root()),
             agent: loaded.agent,
+            // First of all: it removes the former result, and the time line is cut back, too.
             recorder: Recorder::resume(dir.root(), settings(experiment), state.recorder, counters)?,
+            timeline: Timeline::resume(experiment, dir, transitions.as_ref(), counters),
             saver: Saver::after(dir.root(), tick)?,
             tick: loaded.tick,
             evaluations: state.evaluations,

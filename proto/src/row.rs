@@ -122,14 +122,6 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// The features as `f32`.
-    pub fn to_vec(self) -> Vec<f32> {
-        match self {
-            Self::F32(row) => row.to_vec(),
-            Self::U8(row) => row.iter().copied().map(f32::from).collect(),
-        }
-    }
-
     /// Writes the features as `f32` to `out`, as long as the state.
     pub fn write(self, out: &mut [f32]) {
         match self {

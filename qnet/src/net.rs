@@ -8,9 +8,10 @@ use crate::threads::{Threads, Work, share};
 /// Scratch memory for networks of one layout and batches up to a fixed number of rows.
 ///
 /// All of it is allocated on construction; no function of this crate that takes a workspace allocates, unless several threads share its
-/// work. Its size is `max_rows` times (input + twice all hidden widths + twice the widest of them, and all numbers under the kernels of
-/// convolutions that are not the first layer), plus the largest weight matrix behind the first layer for the output layer or a convolution
-/// and 64 of its rows for another layer, once for each thread, plus the output layer's weights, in `f32`.
+/// work. Its size, in `f32`, is the sum of three parts. For each of `max_rows` rows: the input, twice all hidden widths, twice the widest
+/// of them, and all numbers under the kernels of convolutions that are not the first layer. For each thread: the largest of the
+/// transposed weights behind the first layer, whole for the output layer or a convolution, 64 rows for another layer. Once: the
+/// output layer's weights.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     pub(crate) kernels: Kernels,

@@ -200,6 +200,8 @@ impl Crew {
         }
         let leader = thread::current();
         let job = Job { call: call::<F>, function: std::ptr::from_ref(function).cast(), leader };
+        // A caller whose own part panicked has not asked about the others.
+        shared.panicked.store(false, Ordering::Relaxed);
         // The lock hands on all of this.
         *locked(&shared.job) = Some(job);
         // Takes the job back even where `function` panics: the others have a pointer to it.

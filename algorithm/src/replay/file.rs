@@ -47,7 +47,7 @@ const VERSION: u64 = 4;
 /// Flag of a transition whose s' is in the segment.
 const APART: u8 = 0x80;
 
-// It is none of those that a transition has.
+// No transition has this flag.
 const _: () = assert!(KNOWN_FLAGS & APART as u32 == 0);
 
 /// Segments that a full replay has, about: few enough for a directory, and small enough for the unfinished one, which

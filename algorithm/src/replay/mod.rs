@@ -148,11 +148,6 @@ impl Replay {
         self.row.dim
     }
 
-    /// The kind of its states.
-    pub fn row(&self) -> RowKind {
-        self.row
-    }
-
     /// Global index of the oldest transition that is still stored.
     pub fn first_index(&self) -> u64 {
         self.pushed - self.len() as u64

@@ -11,24 +11,22 @@ pub(super) struct Tails {
     width: usize,
     /// The place that was given back last.
     free: u32,
-    used: usize,
 }
 
 impl Tails {
     /// No state; `room` is empty and has room for as many states of `width` words as will ever be taken at once.
     pub(super) fn new(room: Vec<u32>, width: usize) -> Self {
-        Self { words: room, width, free: END, used: 0 }
+        Self { words: room, width, free: END }
     }
 
     /// Gives all places back.
     pub(super) fn clear(&mut self) {
         self.words.clear();
-        (self.free, self.used) = (END, 0);
+        self.free = END;
     }
 
     /// A place; what it holds is to be overwritten.
     pub(super) fn take(&mut self) -> u32 {
-        self.used += 1;
         if self.free == END {
             let place = self.words.len() / self.width;
             self.words.resize(self.words.len() + self.width, 0);
@@ -41,7 +39,6 @@ impl Tails {
 
     /// Gives `place` back.
     pub(super) fn give(&mut self, place: u32) {
-        self.used -= 1;
         let free = self.free;
         self.get_mut(place)[0] = free;
         self.free = place;
@@ -66,6 +63,11 @@ impl Tails {
     /// Places in use, and bytes that are reserved.
     #[cfg(test)]
     pub(super) fn books(&self) -> (usize, usize) {
-        (self.used, 4 * self.words.capacity())
+        let (mut used, mut free) = (self.words.len() / self.width, self.free);
+        while free != END {
+            used -= 1;
+            free = self.get(free)[0];
+        }
+        (used, 4 * self.words.capacity())
     }
 }

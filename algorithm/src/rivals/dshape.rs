@@ -139,21 +139,23 @@ impl DShape {
                 discount *= self.gamma;
                 count += 1;
             }
-            let (start, end) = (replay.obs(slot).to_vec(), replay.next_obs(last).to_vec());
+            let [mut a, mut b, mut c, mut d]: [Vec<f32>; 4] = Default::default();
+            let (start, end) = (replay.obs(slot).wide(&mut a), replay.next_obs(last).wide(&mut b));
             let [first, then] = match self.drawn(replay, slot) {
-                None => [start[self.dim..].to_vec(), end[self.dim..].to_vec()],
+                None => [&start[self.dim..], &end[self.dim..]],
                 Some(to) => {
                     // The goal moves on by a state a step, as far as the episode goes.
                     let ahead = replay.path(to, count + 1).last().unwrap_or(to);
-                    [to, ahead].map(|to| replay.next_obs(to).to_vec()[..self.dim].to_vec())
+                    [replay.next_obs(to).wide(&mut c), replay.next_obs(ahead).wide(&mut d)]
+                        .map(|goal| &goal[..self.dim])
                 }
             };
             let terminated = replay.get(last).terminated();
-            let next = if terminated { 0.0 } else { self.potential(&end[..self.dim], &then) };
-            let added = discount * next - self.potential(&start[..self.dim], &first);
+            let next = if terminated { 0.0 } else { self.potential(&end[..self.dim], then) };
+            let added = discount * next - self.potential(&start[..self.dim], first);
             for (rows, state, goal) in [(&mut self.view.from, start, first), (&mut self.view.to, end, then)] {
                 rows.extend_from_slice(&state[..self.dim]);
-                rows.extend_from_slice(&goal);
+                rows.extend_from_slice(goal);
             }
             self.view.added.push(added);
         }

@@ -106,11 +106,12 @@ impl Gaifo {
 
     /// Writes the transition in `slot` as input into row `row`.
     fn encode(&mut self, replay: &Replay, slot: usize, row: usize) {
-        let (obs, next_obs) = (replay.obs(slot).to_vec(), replay.next_obs(slot).to_vec());
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        let (obs, next_obs) = (replay.obs(slot).wide(&mut a), replay.next_obs(slot).wide(&mut b));
         self.place.clear();
-        self.goal.place(&next_obs, &mut self.place);
+        self.goal.place(next_obs, &mut self.place);
         let width = self.layout.input();
-        self.goal.encode(&obs, &self.place, &mut self.x[row * width..][..width]);
+        self.goal.encode(obs, &self.place, &mut self.x[row * width..][..width]);
     }
 
     /// One update from what `replay` holds. Returns the loss, in nats; none where nothing is stored.

@@ -88,8 +88,9 @@ impl Transport {
             return;
         }
         self.states.clear();
+        let mut wide = Vec::new();
         for &slot in &self.slots {
-            self.metric.whiten(&replay.next_obs(slot).to_vec(), &mut self.scratch, &mut self.states);
+            self.metric.whiten(replay.next_obs(slot).wide(&mut wide), &mut self.scratch, &mut self.states);
         }
         self.judge();
         for (&slot, &reward) in self.slots.iter().zip(&self.best) {

@@ -291,7 +291,7 @@ impl Recorder {
         Ok((state, files))
     }
 
-    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`. Whoever finds that has all lines.
+    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`. A reader that finds that file finds all lines, too.
     pub fn finish(
         mut self,
         counters: &Counters,
@@ -350,8 +350,8 @@ fn known(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// Removes what an earlier start in `dir` came to, for good: whoever finds a result takes the lines beside it for whole, and they are about
-/// to be cut back.
+/// Removes what an earlier start in `dir` came to, for good: a reader that finds a result takes the lines beside it for whole, and they are
+/// about to be cut back.
 fn forget_result(dir: &Path) -> Result<(), RecordError> {
     let former = dir.join(RESULT_FILE);
     match std::fs::remove_file(&former) {

@@ -115,8 +115,12 @@ fn answer(mut link: impl MentorLink, over: &Receiver<()>) {
 fn played<T: Transport + Sync>(transport: &T, mode: &str, learn: impl FnOnce(&RunPlan, T::Learner)) {
     let plan = plan(mode);
     let _host = transport.host(&plan).unwrap();
+    play(transport, &plan, |learner| learn(&plan, learner));
+}
+
+/// Plays the run of `plan`, which has a host, with a learner that does `learn`.
+fn play<T: Transport + Sync>(transport: &T, plan: &RunPlan, learn: impl FnOnce(T::Learner)) {
     thread::scope(|scope| {
-        let plan = &plan;
         for index in 0..ACTORS {
             scope.spawn(move || act(transport.actor(plan, index).unwrap(), index));
         }
@@ -124,7 +128,7 @@ fn played<T: Transport + Sync>(transport: &T, mode: &str, learn: impl FnOnce(&Ru
         scope.spawn(move || answer(transport.mentor(plan).unwrap(), &over));
         let mut learner = transport.learner(plan).unwrap();
         learner.welcome(&never).unwrap();
-        learn(plan, learner);
+        learn(learner);
     });
 }
 
@@ -282,18 +286,10 @@ fn a_client_is_answered_and_learns_of_the_mentor_servers_end<T: Transport + Sync
     let _host = transport.host(&plan).unwrap();
     let similar = QueryRequest { op: SIMILAR, count: 1, obs_dim: 2, ..Default::default() };
     let mut words = Vec::new();
-    thread::scope(|scope| {
-        let plan = &plan;
-        for index in 0..ACTORS {
-            scope.spawn(move || act(transport.actor(plan, index).unwrap(), index));
-        }
-        let (_serving, over) = channel();
-        scope.spawn(move || answer(transport.mentor(plan).unwrap(), &over));
-        let mut learner = transport.learner(plan).unwrap();
-        learner.welcome(&never).unwrap();
-        transport.client(plan).unwrap().ask(&similar, &[7.0], &mut words, LONG).unwrap();
+    play(transport, &plan, |mut learner| {
+        transport.client(&plan).unwrap().ask(&similar, &[7.0], &mut words, LONG).unwrap();
         assert_eq!(words, [7.0f32.to_bits()]);
-        stop(plan, &mut learner);
+        stop(&plan, &mut learner);
     });
     // It is noticed at once, not by a deadline.
     let lost = transport.client(&plan).unwrap().ask(&similar, &[7.0], &mut words, LONG);

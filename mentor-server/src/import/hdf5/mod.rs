@@ -109,7 +109,7 @@ impl Source {
         }
     }
 
-    /// Refuses links of the group at `path` that lead nowhere that is read, if `wanted` wants what is called so.
+    /// Refuses a link of the group at `path` whose object cannot be read, if `wanted` says so of its name.
     fn refuse_unread(&self, path: &str, wanted: impl Fn(&str) -> bool) -> Result<(), ImportError> {
         for name in self.finder.linked(path).into_iter().filter(|name| wanted(name)) {
             self.elsewhere(&join(path, &name))?;

@@ -86,7 +86,7 @@ pub trait Place {
     /// This process has no part in the run any more.
     fn with<R>(&self, work: impl FnOnce(&mut Wire, &dyn Fn(usize) -> bool) -> R) -> Result<R, LinkError>;
 
-    /// Waits until the wire has what is wanted ([`Wire::has`]), `timeout` at the most; or for no reason at all.
+    /// Waits until the wire has what is wanted ([`Wire::has`]), `timeout` at the most.
     ///
     /// # Errors
     /// This process has no part in the run any more.
