@@ -39,7 +39,7 @@ fn main() -> io::Result<()> {
     Ok(())
 }
 
-/// What is in `source`, or `source` itself where it is a file. The Python package and the relay are projects of their own.
+/// The files in `source`, or `source` itself where it is a file. The Python package and the relay are projects of their own.
 fn below(source: &Path) -> io::Result<Vec<PathBuf>> {
     if source.is_file() {
         return Ok(vec![source.to_path_buf()]);

@@ -1,4 +1,4 @@
-//! The program that carries messages between hosts, `trestle-relay`: where it is, and what it is started with.
+//! The program that carries messages between hosts, `trestle-relay`: where it is, and its arguments.
 
 use crate::flags::whole;
 use anyhow::{Context, Result, bail, ensure};
@@ -105,7 +105,7 @@ pub(crate) fn check(url: &str, network: &Network) -> Result<()> {
 pub(crate) struct Joining {
     /// Where the run listens.
     pub(crate) url: String,
-    /// What the run calls this host.
+    /// The name by which the run knows this host.
     pub(crate) name: String,
     /// Actors that it offers.
     pub(crate) actors: u32,

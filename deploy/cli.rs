@@ -154,7 +154,7 @@ pub(crate) struct Join {
     /// Actors to run here, at the most
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u64::from(MAX_ACTORS)))]
     pub(crate) actors: u32,
-    /// What the run calls this host; its own name if not given
+    /// The name by which the run knows this host; its own name if not given
     #[arg(long, value_name = "NAME")]
     pub(crate) name: Option<String>,
     #[command(flatten)]

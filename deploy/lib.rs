@@ -42,7 +42,7 @@ mod sweep;
 
 use trestle_link::iceoryx::SharedMemory;
 
-/// How the processes of this program's runs exchange their messages. No other line of the program names a transport.
+/// How the processes of this program's runs exchange their messages. Beside this line only the joining of hosts names a transport.
 const TRANSPORT: SharedMemory = SharedMemory;
 
 pub use build_info::BUILD;

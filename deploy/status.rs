@@ -4,7 +4,7 @@
 pub(crate) const ORPHANED: u8 = 3;
 /// A process that lost another one of its run: that one is to blame.
 pub(crate) const LOST_PEER: u8 = 4;
-/// A relay that lost another host: what it says last is why.
+/// A relay that lost another host: its last line says why.
 pub(crate) const LOST_HOST: u8 = 5;
 /// A training that Ctrl-C ended, as shells have it: 128 + SIGINT.
 pub(crate) const INTERRUPTED: u8 = 130;

@@ -1,5 +1,5 @@
 //! One run over several hosts, which are one machine here. A stand-in carries messages between them: TCP that loses, repeats and
-//! reorders what it carries, and can be cut. `deploy/relay/tests` has the same with Zenoh, between hosts that share nothing.
+//! reorders its records, and can be cut. `deploy/relay/tests` has the same with Zenoh, between hosts that share nothing.
 
 use crate::util::{
     LIMIT, Place, Process, TRESTLE, Trace, assert_gone, counted, free_port, newest_checkpoint, process,
@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use trestle_proto::rundir::RunDir;
 
-/// What the stand-in is to do, in its environment: the percentage of records that it loses, the file that cuts it while it is
+/// The stand-in's orders, in its environment: the percentage of records that it loses, the file that cuts it while it is
 /// there, and the arguments of `trestle-relay`.
 const ORDERS: &str = "TRESTLE_TEST_CARRIER";
 
@@ -30,13 +30,13 @@ struct Hosts {
 }
 
 impl Hosts {
-    /// One that loses `loss` percent of what it carries.
+    /// Hosts whose stand-in loses `loss` percent of its records.
     fn new(loss: u32) -> Self {
         let place = Place::new();
         fs::create_dir(place.root().join("tmp")).unwrap();
         let cut = place.root().join("cut");
         let test = env::current_exe().unwrap();
-        // Whatever the test harness prints must not come between records.
+        // The test harness's output must not come between records.
         let script = format!(
             "#!/bin/sh\nexec 3>&1 >/dev/null\nexport {ORDERS}=\"{loss} {} $*\"\nexec '{}' --exact hosts::stand_in --nocapture\n",
             cut.display(),
@@ -88,7 +88,7 @@ impl Hosts {
         self.place.run("run")
     }
 
-    /// The end of a run, which must be that of `expected`.
+    /// Waits for the end of a run, which must equal `expected`.
     fn ends_as(&self, head: Process, hosts: Vec<Process>, expected: &Trace) {
         head.finish().ok();
         hosts.into_iter().for_each(|host| {
@@ -101,7 +101,7 @@ impl Hosts {
 
 const ARGS: [&str; 5] = ["maze-small", "--env-steps", "6000", "--seed", "11"];
 
-/// What the same run of three actors comes to on one host.
+/// The trace of the same run of three actors on one host.
 fn on_one_host(more: &[&str]) -> Trace {
     Place::new().train("one", &[&ARGS[..], &["--actors", "3"], more].concat())
 }
@@ -261,7 +261,7 @@ fn a_host_for_which_there_is_no_place_waits_and_leaves_when_it_is_told_to() {
     joined.finish().ok();
 }
 
-/// What the stand-in does: nothing, unless it is started as one.
+/// The stand-in. The test does nothing, unless it is started as one.
 #[test]
 fn stand_in() {
     let Ok(orders) = env::var(ORDERS) else { return };
@@ -282,12 +282,12 @@ fn stand_in() {
     std::process::exit(0);
 }
 
-/// What becomes of records.
+/// The fate of records.
 struct Channel {
     loss: u32,
     cut: PathBuf,
     state: u64,
-    /// One that comes after the next.
+    /// A record that comes after the next one.
     held: Option<Vec<u8>>,
 }
 

@@ -8,7 +8,7 @@ use anyhow::Result;
 use trestle_bench::gradient::GradientStep;
 use trestle_qnet::{Kernels, Threads};
 
-/// Sizes of the network and rows of a batch: from one that stays with one thread to a wide one; the last is MinAtar's.
+/// Sizes of the network and rows of a batch: from a network that stays with one thread to a wide one; the last is MinAtar's.
 const SIZES: [(&[usize], usize); 6] = [
     (&[8, 64, 64, 4], 32),
     (&[8, 128, 128, 4], 64),

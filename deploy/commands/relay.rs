@@ -101,7 +101,7 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
     }
 }
 
-/// What a relay ends with: an end for which it is not to blame has a status of its own.
+/// The exit status of a relay: an end for which it is not to blame has a status of its own.
 fn ended(result: Result<u8, RelayError>) -> Result<ExitCode> {
     match result {
         Ok(status) => Ok(ExitCode::from(status)),
@@ -136,7 +136,7 @@ fn unpack(dir: &RunDir, plan: &RunPlan, identity: u64, grant: &Grant) -> Result<
     if let Some(tick) = plan.life.resume_tick {
         let place = checkpoint::directory(dir.root(), tick);
         fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
-        // Nothing else is written, whatever the head calls it.
+        // A file of any other name is not written.
         for (name, bytes) in
             grant.files.iter().filter(|(name, _)| checkpoint::FOR_ACTORS.contains(&name.as_str()))
         {

@@ -40,7 +40,7 @@ pub(super) struct Start {
     orders: Arc<Orders>,
 }
 
-/// What the supervisor has ordered.
+/// The orders of the supervisor.
 #[derive(Debug, Default)]
 struct Orders {
     stop: Arc<AtomicBool>,

@@ -153,7 +153,7 @@ impl Resolved {
                 fence
             }
             None => make(root, fresh, existing).inspect_err(|_| {
-                // Where the directory is another start's by now, what it would replace stays aside if there is anything in it.
+                // Where the directory is another start's by now, the replaced run stays aside if there is anything in it.
                 if let Some(aside) = &replaced
                     && fs::rename(aside, root).is_err()
                     && nothing_saved(aside)

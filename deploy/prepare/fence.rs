@@ -109,7 +109,8 @@ pub(crate) fn try_lock(root: &Path) -> Result<Option<File>> {
     }
 }
 
-/// Whether the open directory `dir` is the one that `root` leads to. A lock on one that has been moved or removed keeps nobody out.
+/// Whether the open directory `dir` is the one that `root` leads to. A lock on a directory that has been moved or removed
+/// keeps nobody out.
 fn is_at(dir: &File, root: &Path) -> bool {
     let of = |meta: &fs::Metadata| (meta.dev(), meta.ino());
     matches!((dir.metadata(), fs::metadata(root)), (Ok(own), Ok(there)) if of(&own) == of(&there))
@@ -158,8 +159,8 @@ mod tests {
     use super::*;
     use std::process::{Command, Stdio};
 
-    /// A start that waits for the lock of a directory, while the one that has it puts another one in its place, gets that of the
-    /// new one, and not that of the old one beside it.
+    /// A start waits for the lock of a directory. Meanwhile the start that has it puts another directory in its place. The waiting
+    /// start gets the lock of the new directory, and not that of the old one beside it.
     #[test]
     fn the_lock_is_that_of_the_directory_in_the_place() {
         let dir = tempfile::tempdir().unwrap();

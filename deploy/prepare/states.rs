@@ -209,7 +209,7 @@ pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
             }
         }
         match fs::rename(&aside, root) {
-            // Another start has made the directory meanwhile: what is aside is for the command after it.
+            // Another start has made the directory meanwhile: the run that lies aside is for the command after it.
             Err(e) if matches!(e.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists) => continue,
             renamed => renamed
                 .with_context(|| format!("cannot put {} back as {}", aside.display(), root.display()))?,

@@ -87,18 +87,18 @@ impl Death {
         matches!(self.how, How::Exited(status) if status.code() == Some(i32::from(LOST_PEER)))
     }
 
-    /// What the relay says of another host that it has lost, if it has.
+    /// The relay's words about another host that it has lost, if it has.
     fn lost_host(&self) -> Option<&str> {
         let lost = matches!(self.how, How::Exited(status) if status.code() == Some(i32::from(LOST_HOST)));
         (lost && self.role == Role::Relay).then(|| self.words())
     }
 
-    /// The last line of its log, without what every error begins with.
+    /// The last line of its log, without the prefix of every error.
     pub(super) fn words(&self) -> &str {
         self.last_words.strip_prefix("error: ").unwrap_or(&self.last_words)
     }
 
-    /// What the process itself reported as the reason, if it did. Another host may be lost again and again, and come back.
+    /// The reason that the process itself reported, if it did. Another host may be lost again and again, and come back.
     pub(super) fn reported(&self) -> Option<String> {
         let How::Exited(status) = self.how else { return None };
         let code = status.code().filter(|_| !self.is_consequence() && self.lost_host().is_none())?;
@@ -209,7 +209,7 @@ fn head(listening: &Listening, replacements: u16) -> Vec<String> {
     words
 }
 
-/// What a relay is told of how hosts speak to each other.
+/// A relay's arguments about how hosts speak to each other.
 pub(super) fn spoken(network: &Network) -> Vec<String> {
     let silence = ["--host-silence".into(), network.host_silence.to_string()];
     carrier::options(network).into_iter().chain(silence).collect()
@@ -314,7 +314,7 @@ fn end_of_group(id: u32) -> oneshot::Receiver<()> {
     receiver
 }
 
-/// Passes on the learner's progress, or what a relay says, until it closes its standard output.
+/// Passes on the learner's progress, or a relay's lines, until it closes its standard output.
 async fn forward(role: Role, stdout: ChildStdout, events: mpsc::Sender<Report>) {
     let mut lines = BufReader::new(stdout).lines();
     while let Ok(Some(line)) = lines.next_line().await {

@@ -1,8 +1,8 @@
-//! A host that lends its actors to a run of another one: a relay, and its actors. It knows nothing of the run but what the head
-//! sends, and keeps nothing of it.
+//! A host that lends its actors to a run of another one: a relay, and its actors. It knows of the run only the messages of
+//! the head, and keeps nothing of it.
 //!
-//! It goes from session to session. One begins with a hello and ends with the run, with the loss of the head, or with the death of a
-//! process of this host. What was counted in a session means nothing to the next.
+//! It goes from session to session. A session begins with a hello and ends with the run, with the loss of the head, or with the death of a
+//! process of this host. The counts of a session mean nothing to the next.
 
 use super::children::{self, Child, Death, How, Role, log_tail};
 use super::restarts::{Restarts, Verdict};
@@ -26,7 +26,7 @@ use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{BEAT, GRACE, RESTART_BACKOFF};
 use trestle_proto::rundir::RunDir;
 
-/// What a relay's line begins with when its host has been let in; the host's actors and their incarnations follow.
+/// A relay's line begins with this when its host has been let in; the host's actors and their incarnations follow.
 pub(crate) const GRANTED: &str = "granted ";
 /// The file in the directory of a joined host that says why it leaves.
 pub(crate) const FAREWELL: &str = "farewell";
@@ -287,7 +287,7 @@ impl Session<'_> {
         }
     }
 
-    /// Asks all that still run to leave, and kills those that do not.
+    /// Asks all processes that still run to leave, and kills those that do not.
     async fn end_all(&mut self, inbox: &mut mpsc::Receiver<Report>) {
         self.children.iter_mut().filter(|child| child.running).for_each(Child::leave);
         until_gone(&mut self.children, inbox, GRACE).await;

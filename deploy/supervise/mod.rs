@@ -1,4 +1,4 @@
-//! One run: what it shares held, children started and reaped, progress shown, everything cleaned up.
+//! One run: shared memory held, children started and reaped, progress shown, everything cleaned up.
 //!
 //! A run is one attempt after the other: when a process dies, the others are stopped, and all are started again from
 //! the newest complete checkpoint. They have a new identity and share nothing with the attempt before, as if the run were resumed by hand.

@@ -1,7 +1,8 @@
 #!/bin/sh
-# The rivals beside `dqn` and `trestle` on one maze of each of eight generators, none of which was used for a choice. docs/rivals.md has the result.
+# The rivals beside `dqn` and `trestle` on one maze of each of eight generators. No choice was made on any of them.
+# docs/rivals.md has the result.
 # usage: rivals.sh OUT [further arguments of `trestle sweep`, such as --jobs 2]
-# It goes on where it was stopped. Weights are those that rivals-choosing.sh came to.
+# It goes on where it was stopped. The weights are the ones that rivals-choosing.sh found best.
 out=${1:?the directory of the sweep}
 shift
 [ -e "$out" ] && set -- --resume "$@"

@@ -475,7 +475,7 @@ fn wide_len(count: usize, row: RowKind) -> usize {
     if row.element == Element::F32 { 0 } else { 2 * count * row.dim }
 }
 
-/// Puts the states of kind `row` in `words` to `wide`, in place of what it held.
+/// Puts the states of kind `row` in `words` into `wide`, in place of its old contents.
 fn widen(words: &[u32], row: RowKind, wide: &mut Vec<f32>) {
     wide.clear();
     wide.resize(words.len() / row.words() * row.dim, 0.0);

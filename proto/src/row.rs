@@ -29,7 +29,7 @@ impl Element {
         }
     }
 
-    /// What it holds, in words.
+    /// The values that it holds, in words.
     pub fn accepted(self) -> &'static str {
         match self {
             Self::F32 => "finite numbers",

@@ -1,8 +1,8 @@
-//! `result.json`: what a run came to, in one object.
+//! `result.json`: the outcome of a run, in one object.
 
 use serde::{Deserialize, Serialize};
 
-/// What a run came to. Its fields are the keys of `result.json`, in this order.
+/// The outcome of a run. Its fields are the keys of `result.json`, in this order.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunResult {
     /// Name of the algorithm.

@@ -58,7 +58,7 @@ pub enum SpaceError {
     Shape {
         /// Name of the environment.
         name: String,
-        /// What it says.
+        /// The shape that it gives.
         shape: Vec<usize>,
         /// Features of an observation.
         dim: usize,

@@ -114,7 +114,7 @@ impl Adam {
     }
 }
 
-/// What the step of one parameter costs, in multiply-adds of a matrix product: it is a matter of memory.
+/// Cost of the step of one parameter, in multiply-adds of a matrix product. Memory decides it.
 const AS_MULTIPLY_ADDS: usize = 32;
 
 /// A step of some of the parameters.

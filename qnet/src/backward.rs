@@ -111,7 +111,7 @@ fn output_layer(layout: &Layout, params: &[f32], ws: &mut Workspace, grad: &mut 
     }
 }
 
-/// Gradient of layer `top` and of all below it, from the gradient of its output: `outputs` or else what is in `ws.deltas`.
+/// Gradient of layer `top` and of all below it, from the gradient of its output: `outputs` or else the numbers in `ws.deltas`.
 ///
 /// First the gradients of all layers' outputs, from the top down: threads share the rows. Then those of the weights, which are sums over
 /// all rows: threads share the rows of each weight matrix.
@@ -181,7 +181,7 @@ struct Pass<'a> {
     convs: &'a [Places],
 }
 
-/// Numbers of one row under the kernels of the convolution that has most of them, of those that are not the first layer.
+/// The most numbers of one row under the kernels of a convolution that is not the first layer.
 fn most_patches(layers: &[Layer]) -> usize {
     let patches = |layer: &Layer| layer.conv.map_or(0, |_| layer.positions() * layer.inputs);
     layers[1..].iter().map(patches).max().unwrap_or(0)

@@ -41,7 +41,7 @@ pub enum PlanError {
         convs: usize,
         /// Name of the environment.
         env: String,
-        /// What the network sees instead.
+        /// The input that the network sees instead.
         why: &'static str,
     },
     /// Threads that cannot be started.

@@ -139,10 +139,10 @@ unsafe fn call<F: Fn(usize) + Sync>(function: *const (), part: usize) {
     (unsafe { &*function.cast::<F>() })(part);
 }
 
-/// What the threads of a crew have in common.
+/// The state that the threads of a crew share.
 #[derive(Default)]
 struct Shared {
-    /// What is to be done, as long as parts of it may be taken.
+    /// The job, as long as parts of it may be taken.
     job: Mutex<Option<Job>>,
     /// Whether somebody does each part, or it does not exist.
     taken: Vec<AtomicBool>,
@@ -263,7 +263,7 @@ fn work_when_called(shared: &Shared, index: usize) {
         drop(job);
         let work = || {
             if shared.take(index) {
-                // SAFETY: whoever has found the job has raised `running` under its lock. `Crew::run` takes the job back under that lock
+                // SAFETY: a thread that has found the job has raised `running` under its lock. `Crew::run` takes the job back under that lock
                 // and then waits for `running` to be 0, which takes the subtraction below; until then its function lives.
                 unsafe { call(function, index) };
             }
@@ -277,7 +277,7 @@ fn work_when_called(shared: &Shared, index: usize) {
     }
 }
 
-/// Returns once `until` holds; whoever makes it hold unparks this thread.
+/// Returns once `until` holds. The thread that makes it hold unparks this one.
 fn wait(until: impl Fn() -> bool) {
     if !look(LOOKS, &until) {
         while !until() {
@@ -297,7 +297,7 @@ fn look(times: usize, until: impl Fn() -> bool) -> bool {
     false
 }
 
-/// Locks; what a panicking thread left behind is whole, since nothing is done under these locks that can panic.
+/// Locks. The state that a panicking thread left behind is whole, since nothing that is done under these locks can panic.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

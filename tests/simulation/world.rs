@@ -69,7 +69,7 @@ pub(super) enum On {
     Process(usize),
     /// Mail for this process.
     Mail,
-    /// Something of what the processes of the run share.
+    /// An event on the wire that the processes of the run share.
     Wire(u64, Want),
 }
 

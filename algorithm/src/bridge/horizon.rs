@@ -15,7 +15,7 @@
 //!
 //! A new transition lowers the numbers of the states before it and after it, and that of further ones as far as they
 //! change. A number falls at most k times as long as its state is stored, so the work for a transition is bounded by what
-//! lies around it. A transition that leaves raises nothing: the numbers stay lower bounds, and those of newer states are formed
+//! lies around it. A transition that leaves raises nothing: the numbers stay lower bounds, and the numbers of newer states are formed
 //! without it. In a crowd, where no lists of similar states are kept ([`super::cells`]), every number is 0.
 
 use super::cells::CROWDED_AT_MOST;

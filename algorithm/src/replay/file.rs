@@ -141,7 +141,7 @@ pub enum ReplayFileError {
         /// What is accepted.
         accepted: String,
     },
-    /// A transition whose s' is neither in its segment nor that of a successor.
+    /// A transition whose s' is not in its segment, and which has no successor there.
     #[error(
         "transition in slot {slot}: its s' is missing; accepted: a successor in its segment, or an s' of its own"
     )]

@@ -11,7 +11,7 @@ use super::Replay;
 use trestle_proto::batch::FIRST;
 use trestle_proto::limits::{MAX_ACTORS, MAX_REPLAY};
 
-/// Marks the place of an s'. What is below it is a distance; 0 is neither.
+/// Marks the place of an s'. A number below it is a distance; 0 is neither.
 const TAIL: u32 = 1 << 31;
 
 // Distances are below the capacity, and there is at most one s' a slot.

@@ -29,8 +29,8 @@ use trestle_proto::row::{Row, RowKind};
 // An actor's index is kept in a byte.
 const _: () = assert!(MAX_ACTORS <= 256);
 
-/// Bytes that one transition between states of kind `row` takes in the replay. A state more, `4 * row.words()` bytes, goes to
-/// each one that has no successor.
+/// Bytes that one transition between states of kind `row` takes in the replay. Each transition
+/// without a successor takes another state, `4 * row.words()` bytes.
 pub fn bytes_per_transition(row: impl Into<RowKind>) -> usize {
     // s; action, reward, mentor index, link; flags, actor.
     4 * (row.into().words() + 4) + 2
@@ -44,7 +44,7 @@ pub struct ReplayMemoryError {
     pub capacity: usize,
     /// Features of an observation.
     pub obs_dim: usize,
-    /// What they would take, if none had a successor.
+    /// Bytes that they would take if none had a successor.
     pub bytes: u128,
 }
 
@@ -75,8 +75,8 @@ impl Entry {
     }
 }
 
-/// The replay. Memory is reserved once, for the case that no transition has a successor; nothing is allocated afterwards. What is
-/// reserved and not used costs addresses, but no memory.
+/// The replay. Memory is reserved once, for the case that no transition has a successor; nothing is allocated afterwards. Memory
+/// that is reserved and not used costs addresses alone.
 #[derive(Clone, Debug)]
 pub struct Replay {
     row: RowKind,

@@ -25,7 +25,7 @@ impl Tails {
         self.free = END;
     }
 
-    /// A place; what it holds is to be overwritten.
+    /// A place, whose old contents the caller overwrites.
     pub(super) fn take(&mut self) -> u32 {
         if self.free == END {
             let place = self.words.len() / self.width;

@@ -357,7 +357,7 @@ fn memory_is_accounted_for() {
     assert_eq!(bytes_per_transition(4), 34);
     let bytes = RowKind { dim: 10 * 10 * 4, element: Element::U8 };
     assert_eq!(bytes_per_transition(bytes), 418);
-    // What is promised of 100,000 transitions of MinAtar's games, the largest of which has ten channels.
+    // The promise for 100,000 transitions of MinAtar's games, the largest of which has ten channels.
     let most = RowKind { dim: 10 * 10 * 10, element: Element::U8 };
     assert!(100_000 * bytes_per_transition(most) < 110_000_000);
     let (_, tails) = replay.tails.books();

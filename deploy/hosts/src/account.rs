@@ -1,6 +1,6 @@
 //! The account of one direction of a session: which chunks have been sent, which have come, and which must be sent again.
 //!
-//! Chunks are numbered from 0. The receiver acknowledges all below the first that is missing, keeps what has come beyond it, and says
+//! Chunks are numbered from 0. The receiver acknowledges all below the first missing one, keeps later ones that have come, and says
 //! up to where it has room. The sender keeps a chunk until it is acknowledged. If no acknowledgement gets ahead for a while, the
 //! sender sends the oldest chunks again: first one, and with each step ahead twice as many.
 //!
@@ -132,7 +132,7 @@ impl<T> Sender<T> {
         if acknowledged > self.next || room > acknowledged.saturating_add(2 * WINDOW) {
             return false;
         }
-        // One that comes late says less than an earlier one did.
+        // An acknowledgement that comes late says less than an earlier one did.
         self.room = self.room.max(room);
         let ahead = acknowledged.saturating_sub(self.base);
         for _ in 0..ahead {
@@ -180,7 +180,7 @@ impl<T> Default for Receiver<T> {
 }
 
 impl<T> Receiver<T> {
-    /// Takes in chunk `number`. One that has come before, or for which there is no room, is dropped.
+    /// Takes in chunk `number`. A chunk that has come before, or for which there is no room, is dropped.
     pub fn receive(&mut self, number: u64, chunk: T) {
         if number >= self.room() {
             return;
@@ -202,7 +202,7 @@ impl<T> Receiver<T> {
         Some(chunk)
     }
 
-    /// All chunks below have come: what a frame acknowledges.
+    /// All chunks below this number have come. A frame acknowledges them.
     pub fn acknowledged(&self) -> u64 {
         self.next
     }
@@ -226,7 +226,7 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    /// What the channel does to a message.
+    /// The channel's treatment of a message.
     #[derive(Clone, Copy, Debug)]
     enum Fate {
         Deliver(u32),
@@ -248,7 +248,7 @@ mod tests {
     }
 
     /// Sends `count` chunks over a channel that treats messages as `fates` say, over and over, and cuts everything between two
-    /// moments. Returns what was taken, and how long it took.
+    /// moments. Returns the chunks that were taken, and how long it took.
     fn carry(count: u32, fates: &[Fate], cut: std::ops::Range<u32>, slow: bool) -> (Vec<u32>, u32) {
         let (mut sender, mut receiver) = (Sender::default(), Receiver::default());
         (0..count).for_each(|chunk| sender.push(chunk));

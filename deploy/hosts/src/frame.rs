@@ -14,7 +14,7 @@ pub(crate) const HEADER: usize = size_of::<Header>();
 /// Largest frame, bytes.
 pub const MAX_FRAME: usize = HEADER + CHUNK;
 
-/// What a frame is for.
+/// The purpose of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A host wants to join. It has no session yet.
@@ -78,7 +78,7 @@ struct Header {
 /// A frame, with its bytes by reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// What it is for.
+    /// Its purpose.
     pub kind: Kind,
     /// The head's number of the present session, the same for all hosts: drawn when its relay started. 0 in a hello.
     pub session: u64,

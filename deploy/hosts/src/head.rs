@@ -30,10 +30,10 @@ use trestle_proto::plan::RunPlan;
 use trestle_proto::reply::{JOINED, Reply, ReplyHeader};
 use trestle_proto::round::Round;
 
-/// What the relay is told beside the plan.
+/// The relay's arguments beside the plan.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// What the program was built from.
+    /// The sources that the program was built from.
     pub build: String,
     /// A number that no other relay has had, drawn for this one.
     pub session: u64,
@@ -54,7 +54,7 @@ struct Host {
     actors: Vec<u32>,
     /// How many orders there had been when it was given some last.
     given: u64,
-    /// Generation and version of what it was given to act with last.
+    /// Generation and version of the weights that it was given last.
     acting: Option<(u32, Round)>,
     /// A message that the learner could not be given yet.
     waiting: Option<FromHost>,
@@ -82,7 +82,7 @@ struct Head<'a> {
     /// Most bytes of a host's message.
     most: usize,
     seats: Vec<IceoryxActor>,
-    /// Who has each seat.
+    /// The host that has each seat.
     holders: Vec<Option<u64>>,
     /// The last incarnation of each seat that was given away or announced.
     lives: Vec<Option<Incarnation>>,
@@ -97,8 +97,8 @@ struct Head<'a> {
     clock: Clock,
 }
 
-/// Time as this process has seen it go by: a gap in which it was not run counts as a second at the most, so that nobody seems
-/// silent who was not listened to.
+/// Time as this process has seen it go by: a gap in which it was not run counts as a second at the most, so that no host
+/// seems silent only because nobody listened.
 pub(crate) struct Clock {
     last: Instant,
     now: Duration,
@@ -312,7 +312,7 @@ impl Head<'_> {
         }
     }
 
-    /// A host sends what no sound one does.
+    /// Sends away a host whose message no sound host would send.
     fn expel(&mut self, peer: u64, reason: &str) -> Result<(), RelayError> {
         let farewell = Frame::bare(Kind::Farewell, self.options.session, reason.as_bytes());
         self.wire.send(peer, farewell.encode());
@@ -370,7 +370,7 @@ impl Head<'_> {
         Ok(())
     }
 
-    /// Hands on what has come for the learner.
+    /// Hands on the messages that have come for the learner.
     fn deliver(&mut self) -> Result<bool, RelayError> {
         let mut delivered = false;
         let peers: Vec<u64> = self.hosts.keys().copied().collect();
@@ -447,7 +447,7 @@ impl Head<'_> {
         }
     }
 
-    /// Sends what is due; returns when there is more to be sent.
+    /// Sends the frames that are due; returns when there is more to be sent.
     fn flush(&mut self, now: Duration) -> Duration {
         let mut due = now + WAIT_SLICE;
         for (&peer, host) in &mut self.hosts {
@@ -492,7 +492,7 @@ impl Head<'_> {
     }
 }
 
-/// What was counted of a session, in words.
+/// The counts of a session, in words.
 pub(crate) fn counted(counts: Counts, round_trip: Option<Duration>) -> String {
     let Counts { sent, received, resent, repeated } = counts;
     let round_trip =
@@ -513,7 +513,7 @@ fn of(actors: &[u32]) -> String {
     }
 }
 
-/// What a stranger sent, for a person to read.
+/// A stranger's text, for a person to read.
 fn printable(text: &str) -> String {
     text.chars().filter(char::is_ascii_graphic).take(40).collect()
 }

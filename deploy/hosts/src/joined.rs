@@ -1,8 +1,8 @@
 //! The relay of a host that has joined. To its own actors it is the learner.
 //!
-//! 1. [`join`] says hello until the head answers, and waits for what the host needs to begin.
+//! 1. [`join`] says hello until the head answers, and waits for the plan and the files with which the host begins.
 //! 2. The supervisor makes the shared memory and starts the actors. [`Joined::idle`] keeps the session alive meanwhile.
-//! 3. [`Joined::serve`] hands on what the actors and the head send.
+//! 3. [`Joined::serve`] hands on the messages of the actors and of the head.
 //!
 //! The run has another identity here than on its head: two hosts may be one machine. So headers are changed on the way.
 
@@ -27,10 +27,10 @@ use trestle_proto::plan::RunPlan;
 /// The head, as its only peer.
 const HEAD: u64 = 0;
 
-/// What the relay is told.
+/// The relay's arguments.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// What this host says of itself.
+    /// This host's description of itself.
     pub hello: Hello,
     /// After how long without a sign of life the head counts as lost.
     pub silence: Duration,
@@ -58,7 +58,7 @@ pub struct Joined {
     ended: Option<Ended>,
 }
 
-/// Says hello until the head lets this host in and sends what it needs to begin. `say` is told what people should know.
+/// Says hello until the head lets this host in and sends its grant. `say` is told the news for people.
 ///
 /// None: it was told to leave.
 ///

@@ -1,6 +1,6 @@
-//! What relays tell each other in counted messages, beside the hello of a host.
+//! The counted messages between relays, and the hello of a host.
 //!
-//! The first byte of a message says what it is. Batches, replies, orders and weights are those of shared memory
+//! The first byte of a message is its kind. Batches, replies, orders and weights have the layouts of shared memory
 //! (`docs/protocol.md`), header first; every number is checked where it is received.
 
 use crate::limits::MAX_NAME;
@@ -36,12 +36,12 @@ pub fn is_name(name: &str) -> bool {
     (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_plain)
 }
 
-/// What a host says of itself when it wants to join.
+/// A host's description of itself when it wants to join.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
-    /// What its program was built from.
+    /// The sources that its program was built from.
     pub build: String,
-    /// What people call it.
+    /// Its name, for people.
     pub name: String,
     /// Actors that it offers, 1 or more.
     pub actors: u32,
@@ -56,7 +56,7 @@ pub struct Seat {
     pub incarnation: u32,
 }
 
-/// What a joined host needs to begin.
+/// The plan, the actors and the files with which a joined host begins.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Grant {
     /// The run's plan, as in `plan.bin`.
@@ -70,9 +70,9 @@ pub struct Grant {
 /// A message that has come from the head.
 #[derive(Debug)]
 pub enum FromHead {
-    /// What the host needs to begin.
+    /// The host's grant.
     Grant(Grant),
-    /// Orders, with the shares of the host's actors, and what to act with where that has changed.
+    /// Orders, with the shares of the host's actors, and the weights to act with where these have changed.
     Orders(Box<Orders>, Option<(Box<ActingHeader>, Vec<u32>)>),
 }
 
@@ -91,12 +91,12 @@ pub enum MessageError {
     /// Its first byte, or its length.
     #[error("a message of {0} bytes that is none")]
     Form(usize),
-    /// What is in it.
+    /// Its contents.
     #[error(transparent)]
     Codec(#[from] CodecError),
 }
 
-/// What a host needs to begin, as a message.
+/// A host's grant, as a message.
 pub fn grant(grant: &Grant) -> Result<Vec<u8>, CodecError> {
     Ok([&[GRANT][..], &codec::encode(GRANT_KIND, grant)?].concat())
 }
@@ -143,7 +143,7 @@ fn words(bytes: &[u8]) -> Result<Vec<u32>, MessageError> {
 }
 
 impl FromHead {
-    /// The message in `bytes`, for the host of `actors`. What is in it is still to be checked.
+    /// The message in `bytes`, for the host of `actors`. Its contents are still to be checked.
     pub fn decode(bytes: &[u8], actors: &[u32]) -> Result<Self, MessageError> {
         match bytes.split_first() {
             Some((&GRANT, body)) => Ok(Self::Grant(codec::decode(GRANT_KIND, body)?)),
@@ -169,7 +169,7 @@ impl FromHead {
 }
 
 impl FromHost {
-    /// The message in `bytes`. What is in it is still to be checked.
+    /// The message in `bytes`. Its contents are still to be checked.
     pub fn decode(bytes: &[u8]) -> Result<Self, MessageError> {
         match bytes.split_first() {
             Some((&BATCH, body)) => {

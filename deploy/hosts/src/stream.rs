@@ -18,7 +18,7 @@ struct Chunk {
 #[error("a message of more than {0} bytes")]
 pub struct TooLong(pub usize);
 
-/// What was counted of a session.
+/// The counts of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Bytes of frames sent and received.
@@ -76,7 +76,7 @@ impl Stream {
         self.most = most;
     }
 
-    /// Adds a message to what is to be sent.
+    /// Adds a message to those that are to be sent.
     pub fn push(&mut self, message: &[u8]) {
         self.backlog += message.len();
         let mut chunks = message.chunks(CHUNK).peekable();
@@ -103,7 +103,7 @@ impl Stream {
         self.sender.round_trip()
     }
 
-    /// What was counted.
+    /// The counts so far.
     pub fn counts(&self) -> Counts {
         let (sent, received) = self.bytes;
         Counts { sent, received, resent: self.sender.resent(), repeated: self.receiver.repeated() }

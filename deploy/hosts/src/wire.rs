@@ -10,7 +10,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// What the program says first.
+/// The program's first words.
 const GREETING: &str = "trestle-relay 1";
 /// Bytes of one of its lines that are kept.
 const MAX_LINE: usize = 1000;
@@ -27,7 +27,7 @@ pub enum WireError {
     Start {
         /// The program.
         program: String,
-        /// What the system says.
+        /// The system's message.
         reason: String,
     },
     /// It has ended.
@@ -137,7 +137,7 @@ impl Program {
             return Err(failed(&command, "it has no pipes".into()));
         };
         let (inbox, (outbox, frames)) = (Inbox::default(), sync_channel::<(u64, Vec<u8>)>(QUEUE));
-        // What it says last is why it ended.
+        // Its last line says why it ended.
         let troubles = inbox.clone();
         let words = thread::spawn(move || {
             let mut last = String::new();

@@ -88,7 +88,7 @@ impl Credentials {
 }
 
 /// Makes an authority and credentials by it in `dir`: `head.pem` for the host that listens, which is reached by `names`, and
-/// `join.pem` for those that join. The authority's key is not kept, so nobody can make others.
+/// `join.pem` for the hosts that join. The authority's key is not kept, so nobody can make others.
 pub(crate) fn make(dir: &Path, names: &[&str]) -> Result<(), Failure> {
     let mut private = DirBuilder::new();
     match private.recursive(true).mode(0o700).create(dir) {

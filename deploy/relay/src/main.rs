@@ -1,11 +1,11 @@
 //! The program `trestle-relay`: it carries records between a pipe and the hosts of a run, by Zenoh.
 //!
-//! `trestle relay` starts it and does all else: it counts, resends and drops what came twice. So a record may be lost, come twice
+//! `trestle relay` starts it and does all else: it counts, resends and drops records that came twice. So a record may be lost, come twice
 //! or out of order here, and nothing in a record matters to this program.
 //!
 //! - [`pipe`]: records on standard input and output;
-//! - [`net`]: the Zenoh session of the host that listens, or of one that joins;
-//! - [`url`]: what may be listened at and connected to;
+//! - [`net`]: the Zenoh session of the host that listens, or of a host that joins;
+//! - [`url`]: the addresses that may be listened at and connected to;
 //! - [`credentials`]: certificates and their files.
 
 mod credentials;

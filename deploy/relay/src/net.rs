@@ -131,7 +131,7 @@ pub(crate) fn config(url: &Url, credentials: Option<&str>) -> Result<Config, Fai
     Ok(config)
 }
 
-/// Sets `key` and sees to it that it is what it was set to: Zenoh takes keys that it does not know.
+/// Sets `key` and makes sure that it has this value: Zenoh takes keys that it does not know.
 pub(crate) fn set(config: &mut Config, key: &str, value: &str) -> Result<(), Failure> {
     config.insert_json5(key, value)?;
     let found = config.get_json(key)?;
@@ -146,7 +146,7 @@ fn greet(output: &SyncSender<pipe::Record>) -> Result<(), Failure> {
     Ok(output.send((pipe::NEWS, pipe::GREETING.into()))?)
 }
 
-/// Hands a message on; one that finds no room is dropped, as Zenoh's thread must not wait.
+/// Hands a message on. A message that finds no room is dropped, as Zenoh's thread must not wait.
 fn hand_on(output: &SyncSender<pipe::Record>, peer: u64, sample: &Sample) {
     let bytes = sample.payload();
     if bytes.len() <= pipe::MAX_BYTES {

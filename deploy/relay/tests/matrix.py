@@ -129,7 +129,7 @@ class Hosts:
 
 
 def left(place, name):
-    """What a host listed of its /dev/shm and /tmp at its end: nothing but the names of the two."""
+    """The listing of a host's /dev/shm and /tmp at its end, beside the names of the two: it should be empty."""
     lines = (place / f"{name}.log").read_text(errors="replace").splitlines()
     at = max(i for i, line in enumerate(lines) if line == "/dev/shm:")
     return [line for line in lines[at:] if line and line not in ("/dev/shm:", "/tmp:")]
@@ -189,7 +189,7 @@ def row(net, mode, fault, place, expected):
 
 
 def refused(place):
-    """Who is not let in, and what both sides say."""
+    """The hosts that are not let in, and the words of both sides."""
     hosts, good = Hosts(place), True
 
     def check(what, ok, text=""):

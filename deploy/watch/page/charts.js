@@ -60,7 +60,7 @@ export class Chart {
       this.shape = shape;
       this.build();
     } else {
-      // A part that somebody has enlarged stays, whatever comes.
+      // A part that somebody has enlarged stays while new points come.
       const { scales: { x: { min, max } }, data: [xs] } = this.plot;
       const part = min > xs[0] || max < xs.at(-1);
       this.plot.setData(this.data, !part);

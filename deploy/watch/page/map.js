@@ -18,7 +18,7 @@ const WAYS = {
   north: [0, -1], east: [1, 0], south: [0, 1], west: [-1, 0], up: [0, -1], right: [1, 0], down: [0, 1], left: [-1, 0],
 };
 const VIRIDIS = [[68, 1, 84], [68, 57, 131], [49, 104, 142], [33, 145, 140], [53, 183, 121], [144, 215, 67], [253, 231, 37]];
-// Features that are offered, squares along the side of a cell, and squares of a map, at most: what a file says is not trusted.
+// Features that are offered, squares along the side of a cell, and squares of a map, at most: the numbers of a file are not trusted.
 const MAX_DIMS = 8;
 const MAX_FINE = 16;
 const MAX_SQUARES = 2e6;

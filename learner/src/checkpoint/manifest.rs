@@ -152,7 +152,7 @@ pub(super) fn seal(manifest: &[u8]) -> String {
     format!("{:08x}\n", crc32c::crc32c(manifest))
 }
 
-/// Whether the checkpoint in `dir` has a COMPLETE that was written to its end, whatever it says by now. A kill or a power cut in
+/// Whether the checkpoint in `dir` has a COMPLETE that was written to its end, even if its text is wrong by now. A kill or a power cut in
 /// that moment leaves a part of it, or zeros in the place of one.
 pub(super) fn is_sealed(dir: &Path) -> bool {
     match regular_file::read(&dir.join(COMPLETE), MAX_BYTES) {

@@ -168,7 +168,7 @@ fn other_layouts_are_known_or_reached_by_their_paths() {
     }
     let missing = refused("aloha.hdf5", &Options::default());
     assert!(missing.ends_with("accepted: a path, such as observations/qpos, observations/qvel"), "{missing}");
-    // What is beside the observations, by its path in an episode.
+    // A dataset beside the observations, by its path in an episode.
     for key in ["next_obs/joints", "data/demo_*/next_obs/joints"] {
         let one = Options { episodes: Some("0".parse().unwrap()), ..keyed(key) };
         assert_eq!(of("robomimic.hdf5", &one).0, [(numbers(2..8), false)], "{key}");

@@ -330,7 +330,7 @@ fn kind(header: &str, place: &Place) -> Result<Kind, ImportError> {
     element(text, place).map(Kind::Numbers)
 }
 
-/// The fields of a record type, those of several numbers as so many, and the bytes of a record.
+/// The fields of a record type, a field of several numbers as so many, and the bytes of a record.
 fn fields(text: &str, place: &Place) -> Result<Option<(Vec<Field>, usize)>, ImportError> {
     let mut rest = text.trim_start_matches('[').trim_start();
     let (mut out, mut at) = (Vec::new(), 0);

@@ -6,10 +6,10 @@ use trestle_proto::plan::RunPlan;
 
 /// A way for the processes of a run to exchange messages.
 ///
-/// One process, the host, makes what the run shares and holds it to the end of the run. Every other process opens its end with the
+/// One process, the host, makes all that the run shares and holds it to the end of the run. Every other process opens its end with the
 /// plan of the run. A value of this type says where runs are found; it holds none of them.
 pub trait Transport {
-    /// What the host holds.
+    /// The host's hold on all that the run shares.
     type Host: Host;
     /// The learner's end.
     type Learner: LearnerLink;
@@ -23,7 +23,7 @@ pub trait Transport {
     /// Makes all that `plan`'s run shares. The run is alive from now on, until the host is dropped.
     ///
     /// # Errors
-    /// A run of this identity is there, or the system lacks what the run needs.
+    /// A run of this identity is there, or the system lacks something that the run needs.
     fn host(&self, plan: &RunPlan) -> Result<Self::Host, LinkError>;
 
     /// Opens the learner's end of `plan`'s run.
@@ -66,17 +66,17 @@ pub trait Transport {
     /// They cannot be listed.
     fn runs(&self) -> Result<Vec<u64>, LinkError>;
 
-    /// What there is of the run `run`.
+    /// The remains of the run `run`.
     ///
     /// # Errors
     /// It cannot be looked at.
     fn remains(&self, run: u64) -> Result<Remains, LinkError>;
 
-    /// What a run of `experiment` takes of the machine, at the most.
+    /// The most that a run of `experiment` takes of the machine.
     fn footprint(&self, experiment: &Experiment) -> Footprint;
 }
 
-/// What the host of a run holds. When it is dropped, all that the run shares is removed.
+/// The host's hold on a run. When it is dropped, all that the run shares is removed.
 pub trait Host {
     /// Removes what dead processes of the run have left, so that others can take their places. False: something is left.
     fn reap(&self) -> bool;
@@ -101,7 +101,7 @@ pub enum Liveness {
     Unknown,
 }
 
-/// What there is of a run outside its directory.
+/// The remains of a run outside its directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remains {
     /// Files.
@@ -112,7 +112,7 @@ pub struct Remains {
     pub names: String,
 }
 
-/// What a run takes of the machine for its messages, at the most.
+/// The most that a run takes of the machine for its messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
     /// Bytes of shared memory.

@@ -103,7 +103,7 @@ pub(super) fn choose(source: &Source, options: &Options) -> Result<(&'static str
 }
 
 impl Source {
-    /// The names of datasets and groups in the group at `path`, those of soft links included.
+    /// The names of datasets and groups in the group at `path`, the names of soft links included.
     pub(super) fn children(&self, path: &str) -> Result<(Vec<String>, Vec<String>), ImportError> {
         let group = self.group(path)?;
         let mut datasets = group.datasets().map_err(unreadable(&self.path))?;
@@ -182,7 +182,7 @@ impl Source {
     fn observations(&self, group: &str, name: &str, key: Option<&str>) -> Result<String, ImportError> {
         let place = || self.place().episode(0);
         let top = join(group, name);
-        // What is beside the observations: `env_states/actors/cube`, `states`.
+        // A dataset beside the observations: `env_states/actors/cube`, `states`.
         if let Some(key) = key
             && self.dataset_if_any(&join(group, key))?.is_some()
         {

@@ -1,7 +1,7 @@
 //! Links that the library does not follow.
 //!
-//! *Soft links of the old style* are objects to it, over which it fails. Here such a link becomes a hard one to what it leads to: in
-//! what the library is given in the place of the node's bytes, not in the file. One that leads nowhere is left out.
+//! *Soft links of the old style* are objects to it, over which it fails. Here such a link becomes a hard one to its object: in
+//! the bytes that the library is given in the place of the node, not in the file. A link that leads nowhere is left out.
 //!
 //! *Soft links of the new style* it passes over. [`Finder`] follows them to the path by which the library knows their object.
 //!
@@ -19,14 +19,14 @@ const MAX_FOLLOWED: usize = 16;
 const MANY: usize = 16;
 const MAX_KEPT: usize = 1 << 20;
 
-/// What a path leads to.
+/// The end of a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Found {
     /// An object: its path by hard links alone, and its header's address.
     Object(String, u64),
     /// Nothing, and no link either.
     Nothing,
-    /// The link at the first path leads into another file, or to what only the format's own library knows: what it is, in words.
+    /// The link at the first path leads into another file, or to something that only the format's own library knows, which is named in words.
     Unread(String, String),
     /// The link at the first path leads nowhere.
     Dead(String, String),
@@ -128,8 +128,8 @@ impl Finder {
     }
 }
 
-/// What the library should see of `file` instead of its bytes, by their places, so that soft links of the old style are hard ones.
-/// Nothing where there are none, or where the file is damaged: the library says what is wrong then.
+/// The bytes of `file` that the library should see instead of the real ones, by their places, so that soft links of the old style are
+/// hard ones. Empty where there are no such links, or where the file is damaged: the library says what is wrong then.
 pub(super) fn hardened(file: &File, finder: &Finder) -> BTreeMap<u64, Vec<u8>> {
     let mut objects = Objects::new(file, finder.base);
     let mut patches = BTreeMap::new();

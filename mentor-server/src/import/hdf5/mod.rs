@@ -93,7 +93,7 @@ impl Source {
         self.place().refuse(path, "missing", "a dataset, or a group of them")
     }
 
-    /// The path without soft links of what is at `path`, where the library finds nothing; none where nothing is there.
+    /// The path, free of soft links, of the object at `path`, where the library finds nothing; none if there is no object.
     ///
     /// # Errors
     /// A link that leads to another file, or nowhere.
@@ -122,7 +122,7 @@ fn is_missing(error: &Error) -> bool {
     matches!(error, Error::Format(FormatError::PathNotFound(_)) | Error::NotADataset(_) | Error::NotAGroup(_))
 }
 
-/// What the library says of a file that it cannot read.
+/// The library's error about a file that it cannot read.
 fn unreadable(path: &Path) -> impl Fn(Error) -> ImportError {
     let path = path.to_path_buf();
     move |error| match error {

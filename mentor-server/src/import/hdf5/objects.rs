@@ -1,8 +1,8 @@
 //! An HDF5 file's groups as they lie in it: which links each has, of the old style and of the new one.
 //!
 //! The library follows hard links alone. So links of the other kinds are read here (HDF5 file format, III.A to III.C for groups of
-//! the old style, III.A.2 and IV.A for object headers, and `dense` for groups with many links). Whatever does not look as it
-//! should is none: what is wrong with a file is the library's to say.
+//! the old style, III.A.2 and IV.A for object headers, and `dense` for groups with many links). Bytes that do not look as they
+//! should are no link: the library says what is wrong with a file.
 
 mod dense;
 
@@ -19,7 +19,7 @@ const MAX_HEAP: u64 = 16 << 20;
 const MAX_BLOCKS: usize = 1 << 10;
 /// How high a B-tree of the old style is, at the most.
 const MAX_HEIGHT: usize = 64;
-/// Bytes of an entry of a symbol table, and of what is before them in a node.
+/// Bytes of an entry of a symbol table, and of the header before the entries of a node.
 pub(super) const ENTRY: usize = 40;
 pub(super) const NODE_HEADER: usize = 8;
 /// Entries that a node has at most: twice the largest rank that is in use.
@@ -30,7 +30,7 @@ const LINK: u16 = 0x06;
 const CONTINUATION: u16 = 0x10;
 const SYMBOL_TABLE: u16 = 0x11;
 
-/// What a name in a group leads to.
+/// The target of a name in a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Link {
     /// An object, by the address of its header.
@@ -245,7 +245,7 @@ pub(super) fn entry_name(heap: &[u8], entry: &[u8]) -> Option<String> {
     name(heap, word(entry, 0)?)
 }
 
-/// The message at `at` of a block, and moves `at` behind it. `flags`: those of a header of version 2.
+/// The message at `at` of a block, and moves `at` behind it. `flags`: the flags of a header of version 2.
 fn message<'a>(block: &'a [u8], at: &mut usize, flags: Option<u8>) -> Option<(u16, &'a [u8])> {
     let head = block.get(*at..)?;
     let (kind, size, start) = match flags {

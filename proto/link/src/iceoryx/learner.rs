@@ -93,7 +93,7 @@ impl IceoryxLearner {
         Ok(Self { strict: false, ..Self::new(services, generation)? })
     }
 
-    /// From now on what is published is of the learner's start `generation`.
+    /// From now on orders and weights are of the learner's start `generation`.
     pub fn set_generation(&mut self, generation: u16) {
         self.generation = generation;
     }

@@ -28,12 +28,12 @@ pub fn seats(plan: &RunPlan, actors: Range<u32>) -> Result<Vec<IceoryxActor>, Li
 }
 
 /// Opens the learner's place in `plan`'s run on a host that has only some of the actors, and no mentor-server. Messages to
-/// actors may miss those that are not here.
+/// actors may miss the actors of other hosts.
 pub fn learner(plan: &RunPlan) -> Result<IceoryxLearner, LinkError> {
     IceoryxLearner::of_some(Services::open(plan)?, plan.life.generation)
 }
 
-/// What wakes `whom` in run `run`, for any thread of this process.
+/// A waker of `whom` in run `run`, for any thread of this process.
 pub fn waker(run: u64, whom: Whom) -> Result<Box<dyn Fn() + Send>, LinkError> {
     let bells = Bells::new(&Domain::of(run), false)?;
     Ok(Box::new(move || {

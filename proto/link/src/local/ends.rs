@@ -21,7 +21,7 @@ pub struct LocalActor<P> {
     index: usize,
     sizes: Vec<u32>,
     room: Room,
-    /// What was received last.
+    /// The weights that were received last.
     copy: Acting,
     /// How many orders there had been when some were received last.
     received: u64,
@@ -137,7 +137,7 @@ impl<P: Place> LocalActor<P> {
         }
     }
 
-    /// Takes over what was published last; returns its generation and version.
+    /// Takes over the weights that were published last; returns their generation and version.
     fn update(&mut self) -> Result<Option<(u32, Round)>, LinkError> {
         let Self { place, run, sizes, room, copy, .. } = self;
         place.with(|wire, _| {

@@ -1,11 +1,11 @@
 //! The transport within one process: queues between threads. For tests of the roles' loops, and the proof that the interfaces do
 //! not depend on shared memory.
 //!
-//! - [`wire`]: what the processes of one run share, as queues, and what a process can wait for there;
+//! - [`wire`]: the queues that the processes of one run share, and the events that a process can wait for there;
 //! - [`ends`]: the roles' ends of it. They do not know where the queues lie or how a process waits: that is a [`Place`];
 //! - [`Threads`]: the transport whose processes are threads of this process.
 //!
-//! Messages are checked by the same code as those of shared memory. A process that dies leaves what it has sent. Actors may be
+//! Messages are checked by the same code as those of shared memory. The messages of a process that dies stay. Actors may be
 //! replaced, learners and mentor-servers may not.
 
 pub mod ends;
@@ -25,7 +25,7 @@ use trestle_proto::plan::RunPlan;
 #[derive(Clone, Debug, Default)]
 pub struct Threads(Arc<Mutex<BTreeMap<u64, Arc<Hub>>>>);
 
-/// What the threads of one run share.
+/// The state that the threads of one run share.
 #[derive(Debug)]
 struct Hub {
     state: Mutex<State>,

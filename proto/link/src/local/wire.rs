@@ -1,4 +1,4 @@
-//! What the processes of one run exchange, as queues, and what a process can wait for there.
+//! The queues between the processes of one run, and the events that a process can wait for there.
 
 use crate::LinkError;
 use std::collections::{BTreeMap, VecDeque};
@@ -34,7 +34,7 @@ pub(super) enum Answer {
     Query(QueryAnswer, Vec<u32>),
 }
 
-/// What the processes of a run share. Processes have numbers, which the [`Place`] gives.
+/// All that the processes of a run share. Processes have numbers, which the [`Place`] gives.
 #[derive(Debug, Default)]
 pub struct Wire {
     /// The newest orders, and how many there have been.
@@ -43,7 +43,7 @@ pub struct Wire {
     pub(super) to_learner: VecDeque<ToLearner>,
     /// Questions that the mentor-server has not taken, by their numbers.
     pub(super) requests: VecDeque<(u64, Request)>,
-    /// Questions so far, and the answers to those that somebody waits for.
+    /// Questions so far, and the answers to the questions that somebody waits for.
     pub(super) asked: u64,
     pub(super) answers: BTreeMap<u64, Option<Answer>>,
     pub(super) learner: Option<usize>,
@@ -56,7 +56,7 @@ pub struct Wire {
     pub(super) replaces: bool,
 }
 
-/// What a process can wait for.
+/// An event that a process can wait for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Want {
     /// Other orders than the first so many.
@@ -119,7 +119,7 @@ impl Wire {
         (actor..).zip(&mut self.actors).for_each(|(process, place)| *place = Some(process));
     }
 
-    /// Whether there is what is wanted; `alive` says of a process whether it lives.
+    /// Whether `want` is there; `alive` says of a process whether it lives.
     pub fn has(&self, want: Want, alive: &dyn Fn(usize) -> bool) -> bool {
         match want {
             Want::Orders(known) => self.orders.0 != known,

@@ -54,8 +54,8 @@ pub fn plan(mode: &str) -> RunPlan {
     }
 }
 
-/// A mentor that names transition 1 for every observation of actor 0 and knows one annotation for each part; refuses what is far
-/// ahead.
+/// A mentor that names transition 1 for every observation of actor 0 and knows one annotation for each part. It refuses a
+/// request that is far ahead.
 pub struct Canned;
 
 impl MentorHandler for Canned {

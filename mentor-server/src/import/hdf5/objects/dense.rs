@@ -22,10 +22,10 @@ struct Heap {
     /// Bytes of an object's place and of its length.
     place: usize,
     id: usize,
-    /// Blocks in a row, and bytes of those of the first one.
+    /// Blocks in a row, and bytes of a block of the first row.
     width: u64,
     first: u64,
-    /// Rows of blocks with objects in them; those behind have blocks of blocks.
+    /// Rows of blocks with objects in them; the rows behind have blocks of blocks.
     direct_rows: u32,
     root: u64,
     /// Rows of the root; 0 where it has objects in it itself.
