@@ -2,7 +2,7 @@
 """Ratios to `diiqn` with honest inference on maze30: docs/results.md shows what this prints.
 
 Every arm but `diiqn` has the same runs with `mentor.inference=similar` as with `any`. So their rows are those of
-maze30-runs.csv, and maze30-similar-runs.csv has the runs of `diiqn`. Intervals hold 95 % (bootstrap, 2000 resamples).
+maze30-runs.csv. maze30-similar-runs.csv has the runs of `diiqn`, and some of the other arms, which are counted and compared. Intervals hold 95 % (bootstrap, 2000 resamples).
 """
 
 import csv
@@ -31,6 +31,16 @@ def ratio(times: list[float], base: list[float]) -> str:
     return f"{statistics.median(times) / statistics.median(base):.2f} [{low:.2f}, {high:.2f}]"
 
 
+def same() -> str:
+    """How many runs of the other arms were solved after the same steps under both rules."""
+    steps = []
+    for file in ["maze30-runs.csv", "maze30-similar-runs.csv"]:
+        with open(HERE / file, encoding="utf-8") as rows:
+            steps.append({(row["arm"], row["seed"]): row["solved_env_steps"] for row in csv.DictReader(rows)})
+    both = [key for key in steps[1] if key[0] != "diiqn"]
+    return f"{sum(steps[0][key] == steps[1][key] for key in both)} of {len(both)}"
+
+
 def main() -> None:
     columns = ["solved_episode", "solved_env_steps"]
     arms = [times("maze30-runs.csv", column) for column in columns]
@@ -41,6 +51,7 @@ def main() -> None:
         ratios = ["1", "1"] if arm == "diiqn" else [ratio(episodes, honest[0]), ratio(steps, honest[1])]
         cells = [f"`{arm}`", len(steps), f"{statistics.median(episodes):.0f}", f"{statistics.median(steps) / 1e3:.0f}", *ratios]
         print("| " + " | ".join(map(str, cells)) + " |")
+    print(f"\nRuns of other arms that are the same, to the step: {same()}")
 
 
 if __name__ == "__main__":
