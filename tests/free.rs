@@ -2,8 +2,8 @@
 
 use crate::schedule::{self, KINDS, Kind, SHORTAGES};
 use crate::util::{
-    Place, Process, assert_gone, counted, evaluations, metrics, newest_checkpoint, process, result, send,
-    start,
+    Counted, Place, Process, assert_gone, counted, evaluations, metrics, newest_checkpoint, process, result,
+    send, start,
 };
 use nix::sys::signal::Signal;
 use std::fs;
@@ -78,15 +78,25 @@ fn ids(dir: &RunDir) -> [Option<u32>; 5] {
     ROLES.map(|role| process(dir.root(), role))
 }
 
-/// Does `what` to `role` and waits until another process has its place, and the run goes on. The others must still be
-/// those that they were.
+/// What is counted of the newest incarnation of the actor that is `role`; nothing of another process.
+fn newest(dir: &RunDir, role: &str) -> Option<Counted> {
+    let actor = role.strip_prefix("actor-")?.parse::<u32>().unwrap();
+    counted(dir).into_iter().rfind(|row| row.actor == actor)
+}
+
+/// Does `what` to `role` and waits until another process has its place, and the run goes on; with steps of its own
+/// where it is an actor, since a run can go on for long with those of the others. The others must still be those that
+/// they were.
 fn replaced(run: &mut Process, dir: &RunDir, role: &str, what: Signal) {
-    let before = ids(dir);
+    let (before, former) = (ids(dir), newest(dir, role).map(|row| row.incarnation));
     let at = ROLES.iter().position(|of| *of == role).unwrap();
     send(before[at].unwrap(), what);
     run.wait_for("another process", || ids(dir)[at].is_some_and(|pid| Some(pid) != before[at]));
     let (rows, checkpoint) = (evaluations(dir), newest_checkpoint(dir));
     run.wait_for("the run to go on", || evaluations(dir) > rows && newest_checkpoint(dir) > checkpoint);
+    run.wait_for("steps of the new actor", || {
+        newest(dir, role).is_none_or(|row| Some(row.incarnation) > former && row.env_steps > 0)
+    });
     let after = ids(dir);
     assert!((0..5).all(|i| (before[i] == after[i]) != (i == at)), "{role}: {before:?}, then {after:?}");
 }
