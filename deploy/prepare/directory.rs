@@ -3,13 +3,12 @@
 //! Until the run has begun to train, the directory can still be given up; what `--overwrite` replaces is kept beside it
 //! until then.
 
+use super::aside::{discard, move_aside};
 use super::fence::Fence;
 use super::ground::map_file;
 use super::probes::{Needs, check};
 use super::resolve::{Resolved, copy_of};
-use super::states::{
-    clear_away, clear_unborn, discard, empty, is_unborn, move_aside, nothing_saved, remove_temporaries,
-};
+use super::states::{clear_away, clear_unborn, empty, is_unborn, nothing_saved, remove_temporaries};
 use crate::build_info::BuildInfo;
 use crate::carrier::Listening;
 use crate::itself;

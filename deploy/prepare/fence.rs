@@ -4,7 +4,7 @@
 //! it and lets its learner, the only other process that writes there, inherit the open file. So it ends with the last of
 //! the two: a learner that outlives its supervisor, for however short a time, keeps the directory locked.
 
-use super::states::replaced;
+use super::aside::replaced;
 use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use nix::unistd::dup;

@@ -7,10 +7,10 @@
 //!   got as far as a checkpoint or a result. One that had got no further itself goes then.
 //! - *Removed*: `.NAME.removed-PID` is what was on its way out.
 
+use super::aside::{discard, removed, replaced};
 use super::fence::try_lock;
 use crate::TRANSPORT;
 use anyhow::{Context, Result};
-use std::ffi::OsString;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary, sync_parent,
+    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
@@ -91,75 +91,6 @@ pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Renames the run that is being replaced; returns where it is.
-pub(super) fn move_aside(root: &Path) -> Result<PathBuf> {
-    let name = root.file_name().with_context(|| format!("{} has no name", root.display()))?;
-    let mut aside = name.to_os_string();
-    aside.push(format!("{REPLACED}{}", std::process::id()));
-    let aside = root.with_file_name(aside);
-    // A power cut keeps this name, or nothing that is changed under it.
-    fs::rename(root, &aside)
-        .and_then(|()| sync_parent(&aside))
-        .with_context(|| format!("cannot move {} aside", root.display()))?;
-    Ok(aside)
-}
-
-/// Removes the run in `path`: out of the way first, so that a kill never leaves a part of it that looks like a run.
-pub(super) fn discard(path: &Path) -> Result<()> {
-    let name = path.file_name().with_context(|| format!("{} has no name", path.display()))?;
-    let name = name.to_string_lossy();
-    let name = name.rsplit_once(REPLACED).map_or(name.as_ref(), |(name, _)| name);
-    let gone = path.with_file_name(format!(".{name}{REMOVED}{}", std::process::id()));
-    let failed = || format!("cannot remove {}", path.display());
-    // A power cut does not bring the name back without its contents.
-    fs::rename(path, &gone).and_then(|()| sync_parent(&gone)).with_context(failed)?;
-    match fs::remove_dir_all(&gone) {
-        // Another command is removing it as well.
-        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::DirectoryNotEmpty) => Ok(()),
-        removed => removed.with_context(failed),
-    }
-}
-
-/// Follows the name of a run that waits while another takes its place, before the process that replaces it.
-const REPLACED: &str = ".replaced-";
-/// The same of one that is being removed; there is a dot before the name.
-const REMOVED: &str = ".removed-";
-
-/// Directories beside `root` with its name between `before` and `mark`, and a process id at the end, by name.
-fn beside(root: &Path, before: &str, mark: &str) -> Vec<PathBuf> {
-    let Some(name) = root.file_name() else { return Vec::new() };
-    let mut start = OsString::from(before);
-    start.push(name);
-    start.push(mark);
-    let is_id = |rest: &[u8]| !rest.is_empty() && rest.iter().all(u8::is_ascii_digit);
-    let parent = root.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut found: Vec<PathBuf> = fs::read_dir(parent)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter(|entry| {
-            let name = entry.file_name();
-            let rest = name.as_encoded_bytes().strip_prefix(start.as_encoded_bytes());
-            rest.is_some_and(is_id) && entry.file_type().is_ok_and(|kind| kind.is_dir())
-        })
-        .map(|entry| root.with_file_name(entry.file_name()))
-        .collect();
-    found.sort();
-    found
-}
-
-/// Whether `parent` holds anything that killed starts leave beside the directories of runs.
-pub(crate) fn has_leftovers(parent: &Path) -> bool {
-    let is_mark = |name: &str| name.contains(REPLACED) || name.contains(REMOVED);
-    let entries = fs::read_dir(parent).into_iter().flatten().flatten();
-    entries.into_iter().any(|entry| is_mark(&entry.file_name().to_string_lossy()))
-}
-
-/// The runs beside `root` that wait for a killed `--overwrite`, or for one that is only just starting.
-pub(crate) fn replaced(root: &Path) -> Vec<PathBuf> {
-    beside(root, "", REPLACED)
-}
-
 /// Puts right what a killed `--overwrite` left beside `root`; returns what the user should know. What a living process is
 /// busy with is left alone.
 ///
@@ -167,7 +98,7 @@ pub(crate) fn replaced(root: &Path) -> Vec<PathBuf> {
 /// A directory that cannot be moved.
 pub(crate) fn recover(root: &Path) -> Result<Vec<String>> {
     let mut said = Vec::new();
-    for gone in beside(root, ".", REMOVED) {
+    for gone in removed(root) {
         // Another process may be removing it; what remains is tried again the next time.
         let _ = fs::remove_dir_all(gone);
     }
