@@ -106,13 +106,20 @@ def test_a_callback_can_end_a_run(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_saves_the_run(tmp_path: Path) -> None:
-    script = "import trestle, sys; trestle.train('gym:CartPole-v1', algo='dqn', env_steps=10**8, out=sys.argv[1])"
+    # Python leaves the signal alone where the tests themselves run in the background of a shell.
+    script = """import signal, sys, trestle
+signal.signal(signal.SIGINT, signal.default_int_handler)
+trestle.train('gym:CartPole-v1', algo='dqn', env_steps=10**8, out=sys.argv[1])
+"""
     out = tmp_path / "run"
     with subprocess.Popen([sys.executable, "-c", script, str(out)], stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and not (out / "metrics.jsonl").exists():
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        try:
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert "KeyboardInterrupt" in said
     assert trestle.Run(out).result.env_steps > 0
 

@@ -157,7 +157,7 @@ def test_a_live_run_is_followed_to_its_end(tracker: str, trestle: Trestle, tmp_p
         with subprocess.Popen([*command, "sync", "run", "--to", tracker], stdout=subprocess.PIPE, text=True) as following:
             while following.poll() is None and not (_sent(tracker, tmp_path)):
                 time.sleep(0.2)
-            training.send_signal(signal.SIGINT)
+            training.send_signal(signal.SIGTERM)
             training.wait()
             (tmp_path / "run/result.json").write_text((tmp_path / "run/result.json").read_text().replace('"interrupted": true', '"interrupted": false'))
             said, _ = following.communicate(timeout=120)
