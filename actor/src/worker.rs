@@ -13,6 +13,7 @@ use trestle_proto::acting::{Acting, Lengths};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, SUCCEEDED, TERMINATED, TRUNCATED, Tally, Transition};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Hazard, HazardScope};
+use trestle_proto::episode::Episode;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_REPLY_BYTES, MAX_ROLLOUT};
@@ -358,7 +359,7 @@ impl Worker {
             _ => 0,
         };
         let mut rng = stream(self.seed, Purpose::Evaluation, evaluation);
-        Ok(Some(self.play(lead, &mut rng, 0, evaluation)?.total_reward))
+        Ok(Some(self.play(lead, &mut rng, 0, evaluation)?.episode.total_reward))
     }
 
     /// One episode of the evaluation with this number, by the actions that `choose` takes in its states. Its path is left out if
@@ -401,7 +402,8 @@ impl Worker {
             path = Vec::new();
         }
         let success = self.success.of(last.success, total_reward);
-        Ok(EvaluationEpisode { total_reward, length, terminated: last.terminated, success, path })
+        let episode = Episode { total_reward, length, success };
+        Ok(EvaluationEpisode { episode, terminated: last.terminated, path })
     }
 
     /// All that changes while the actor collects: the environment in the middle of its episode, both random streams,

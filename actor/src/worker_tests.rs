@@ -103,7 +103,9 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
     let east = actions.iter().sum::<u32>();
     assert!((60..150).contains(&east), "random where nothing is known: {east} of 210");
     // Evaluations need the parameters alone.
-    assert!(worker.evaluate(&always(&experiment, 1), 0, 1).unwrap().episodes[0].success == Some(true));
+    assert!(
+        worker.evaluate(&always(&experiment, 1), 0, 1).unwrap().episodes[0].episode.success == Some(true)
+    );
 }
 
 #[test]
@@ -388,12 +390,12 @@ fn greedy_episodes_are_reported_as_they_were_played() {
         evaluation.episodes[0].clone()
     };
     let there = played("S..G\n", 1);
-    assert!((there.total_reward - 0.92).abs() < 1e-6);
-    assert_eq!((there.length, there.success), (3, Some(true)));
+    assert!((there.episode.total_reward - 0.92).abs() < 1e-6);
+    assert_eq!((there.episode.length, there.episode.success), (3, Some(true)));
     assert_eq!(there.path, [0.0, 0.0, 1.0, 0.0, 2.0, 0.0, 3.0, 0.0]);
     let stuck = played("S..G\n", 0);
-    assert!((stuck.total_reward + 7.0 * 0.75).abs() < 1e-6);
-    assert_eq!((stuck.length, stuck.success, stuck.path), (7, Some(false), vec![0.0; 16]));
+    assert!((stuck.episode.total_reward + 7.0 * 0.75).abs() < 1e-6);
+    assert_eq!((stuck.episode.length, stuck.episode.success, stuck.path), (7, Some(false), vec![0.0; 16]));
 }
 
 #[test]

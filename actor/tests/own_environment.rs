@@ -141,9 +141,9 @@ fn an_environment_of_another_crate_is_one_like_the_others() {
 
     // Always to the left: every episode ends by falling, after one step or two. That is no success.
     let played = worker.evaluate(&acting.weights, 0, 20).unwrap().episodes;
-    assert!(played.iter().all(|episode| episode.terminated && episode.length <= 2));
+    assert!(played.iter().all(|played| played.terminated && played.episode.length <= 2));
     assert_eq!(experiment.success(), Success::Undefined);
-    assert!(played.iter().all(|episode| episode.success.is_none()));
+    assert!(played.iter().all(|played| played.episode.success.is_none()));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `trestle eval`
 
-use super::picture::{self, Episode};
+use super::picture::{self, Drawn};
 use crate::cli::{Eval, Which};
 use crate::itself;
 use crate::output::say;
@@ -15,7 +15,7 @@ use trestle_actor::worker::Worker;
 use trestle_learner::checkpoint;
 use trestle_link::logging;
 use trestle_proto::config::RivalKind;
-use trestle_proto::reply::EvaluationEpisode;
+use trestle_proto::episode::Episode;
 use trestle_proto::round::Round;
 use trestle_proto::rundir::RunDir;
 use trestle_qnet::Layout;
@@ -65,9 +65,10 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     let evaluation = worker.evaluate(&weights, EVALUATION, args.episodes)?;
 
     let episodes = &evaluation.episodes;
+    let n = episodes.len() as f64;
     let mean =
-        |of: &dyn Fn(&EvaluationEpisode) -> f64| episodes.iter().map(of).sum::<f64>() / episodes.len() as f64;
-    let defined = episodes.iter().all(|episode| episode.success.is_some());
+        |of: &dyn Fn(&Episode) -> f64| episodes.iter().map(|played| of(&played.episode)).sum::<f64>() / n;
+    let defined = episodes.iter().all(|played| played.episode.success.is_some());
     let figures = Figures {
         run: args.run.display().to_string(),
         checkpoint: tick.into(),
@@ -80,7 +81,7 @@ pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     if let Some((out, kind)) = args.picture.as_deref().zip(kind) {
         let path = episodes.first().map_or(&[][..], |episode| &episode.path);
         let (weights, seed) = (&weights, played.config.run.seed);
-        let episode = Episode { weights, evaluation: EVALUATION, seed, path };
+        let episode = Drawn { weights, evaluation: EVALUATION, seed, path };
         picture::write(&dir, &experiment, episode, out, kind)?;
     }
     if args.json {

@@ -49,7 +49,7 @@ pub(super) fn as_kind(svg: String, kind: &str) -> Result<Vec<u8>> {
 
 /// A greedy episode that is to be drawn.
 #[derive(Clone, Copy)]
-pub(super) struct Episode<'a> {
+pub(super) struct Drawn<'a> {
     pub(super) weights: &'a [f32],
     /// Number of the evaluation that it is the first one of.
     pub(super) evaluation: u64,
@@ -67,7 +67,7 @@ pub(super) struct Episode<'a> {
 pub(super) fn write(
     dir: &RunDir,
     experiment: &Experiment,
-    episode: Episode<'_>,
+    episode: Drawn<'_>,
     out: &Path,
     kind: &str,
 ) -> Result<()> {
@@ -104,7 +104,7 @@ fn put(out: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Plays `episode` again in an environment that draws itself, and writes what it looked like.
-fn film(experiment: &Experiment, episode: Episode<'_>, out: &Path, kind: &str) -> Result<()> {
+fn film(experiment: &Experiment, episode: Drawn<'_>, out: &Path, kind: &str) -> Result<()> {
     let none = || {
         let name = &experiment.spec.name;
         format!(

@@ -12,6 +12,7 @@ use trestle_link::local::{self, LocalActor, Seat};
 use trestle_link::{MentorHandler, MentorLink};
 use trestle_proto::NONE;
 use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
+use trestle_proto::episode::Episode;
 use trestle_proto::observe::{ObserveAnswer, Observed};
 use trestle_proto::query::{OK, OUT_OF_ORDER, QueryAnswer};
 use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
@@ -49,14 +50,9 @@ impl Played<'_> {
             actor: self.index,
             kind: EVALUATION,
         };
-        let episode = EvaluationEpisode {
-            total_reward,
-            length: 1,
-            terminated: false,
-            success: Some(false),
-            path: Vec::new(),
-        };
-        let evaluation = Evaluation { evaluation, episodes: vec![episode], guide_return: None };
+        let episode = Episode { total_reward, length: 1, success: Some(false) };
+        let episodes = vec![EvaluationEpisode { episode, ..EvaluationEpisode::default() }];
+        let evaluation = Evaluation { evaluation, episodes, guide_return: None };
         let payload = codec::encode(EVALUATION_KIND, &evaluation).unwrap();
         self.link.send_reply(&Reply { header, payload }).unwrap();
     }
@@ -214,16 +210,9 @@ fn an_evaluation_that_has_waited_is_of_the_moment_in_which_it_is_asked_for() {
         session.train(round.into()).unwrap();
     }
     let (number, _) = session.evaluate().unwrap();
-    let episode = EvaluationEpisode {
-        total_reward: 0.0,
-        length: 1,
-        terminated: false,
-        success: Some(false),
-        path: Vec::new(),
-    };
-    session
-        .evaluated(&Evaluation { evaluation: number, episodes: vec![episode], guide_return: None })
-        .unwrap();
+    let episode = Episode { total_reward: 0.0, length: 1, success: Some(false) };
+    let episodes = vec![EvaluationEpisode { episode, ..EvaluationEpisode::default() }];
+    session.evaluated(&Evaluation { evaluation: number, episodes, guide_return: None }).unwrap();
     let rows = std::fs::read_to_string(dir.evals()).unwrap();
     assert_eq!(rows.lines().last().unwrap().split(',').nth(1), Some("3"), "{rows}");
 }

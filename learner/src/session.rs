@@ -13,13 +13,14 @@ use crate::timeline::Timeline;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::time::{Duration, Instant};
-use trestle_algorithm::agent::{Agent, AgentError, Counters, Episode, TrainStats};
+use trestle_algorithm::agent::{Agent, AgentError, Counters, TrainStats};
 use trestle_algorithm::reference;
 use trestle_link::pulse;
 use trestle_proto::acting::Acting;
 use trestle_proto::batch::{Batch, Checked, Tally};
 use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{GuideKind, Mode};
+use trestle_proto::episode::Episode;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
@@ -402,16 +403,12 @@ impl<'a> Session<'a> {
             return Err(SessionError::Evaluation { found: evaluation.evaluation, expected });
         };
         for (episode, played) in evaluation.episodes.iter().enumerate() {
-            if !played.total_reward.is_finite() {
-                let (evaluation, found) = (evaluation.evaluation, played.total_reward);
+            if !played.episode.total_reward.is_finite() {
+                let (evaluation, found) = (evaluation.evaluation, played.episode.total_reward);
                 return Err(SessionError::Return { evaluation, episode, found });
             }
         }
-        let episodes: Vec<Episode> = evaluation
-            .episodes
-            .iter()
-            .map(|e| Episode { total_reward: e.total_reward, length: e.length, success: e.success })
-            .collect();
+        let episodes: Vec<Episode> = evaluation.episodes.iter().map(|played| played.episode).collect();
         self.guide_return = evaluation.guide_return;
         let total_reward = self.recorder.evaluation(&counters, &episodes)?;
         if self.best.is_none_or(|best| total_reward > best) {

@@ -8,6 +8,7 @@ pub mod annotation;
 pub mod batch;
 pub mod codec;
 pub mod config;
+pub mod episode;
 pub mod experiment;
 pub mod incarnation;
 pub mod limits;

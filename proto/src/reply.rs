@@ -3,6 +3,7 @@
 //! The payload is a [`crate::codec`] frame of [`Evaluation`] or of bytes that only the actor understands.
 
 use crate::codec::Kind;
+use crate::episode::Episode;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
@@ -15,7 +16,7 @@ pub const ACTOR_STATE: u32 = 2;
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
-pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 3 };
+pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 4 };
 
 /// What is sent beside a reply.
 #[repr(C)]
@@ -44,17 +45,13 @@ pub struct Reply {
     pub payload: Vec<u8>,
 }
 
-/// One greedy episode.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// One greedy episode, and the way it took.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationEpisode {
-    /// Undiscounted sum of the rewards.
-    pub total_reward: f64,
-    /// Steps.
-    pub length: u64,
+    /// What it came to. Its sum of rewards may be anything.
+    pub episode: Episode,
     /// Whether it ended in a terminal state rather than at the step limit.
     pub terminated: bool,
-    /// Whether it succeeded; none where neither the environment nor a threshold says so.
-    pub success: Option<bool>,
     /// The states passed through, `length + 1` times `obs_dim` features, the first one being the start. Empty where
     /// it and the paths before it would not fit into a reply.
     pub path: Vec<f32>,

@@ -14,17 +14,6 @@ pub struct Counters {
     pub grad_steps: u64,
 }
 
-/// A finished episode.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Episode {
-    /// Undiscounted sum of the rewards, finite.
-    pub total_reward: f64,
-    /// Steps.
-    pub length: u64,
-    /// Whether it succeeded; none where success is not defined.
-    pub success: Option<bool>,
-}
-
 /// One mentor transition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MentorRow<'a> {

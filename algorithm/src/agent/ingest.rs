@@ -1,11 +1,12 @@
 //! Taking transitions in: limits, counts, episodes, annotations, the replay and its first past values.
 
 use super::samples::Sources;
-use super::{Agent, AgentError, Counters, Episode, Running};
+use super::{Agent, AgentError, Counters, Running};
 use crate::rivals::Shown;
 use trestle_proto::NONE;
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, Checked};
+use trestle_proto::episode::Episode;
 use trestle_proto::observe::Observed;
 use trestle_proto::space::reported;
 

@@ -25,7 +25,7 @@ mod step;
 mod terms;
 mod train;
 
-pub use counts::{Counters, Episode, MentorRow};
+pub use counts::{Counters, MentorRow};
 pub use error::AgentError;
 pub use ingest::{FinishedEpisode, Ingested};
 pub use state::{AgentState, Parts};

@@ -43,9 +43,9 @@ pub(super) fn run(args: &Record) -> Result<()> {
         let evaluation = FIRST_EVALUATION - u64::from(episode);
         let played = worker.evaluate(&weights, evaluation, 1)?;
         let played = played.episodes.first().context("an evaluation without an episode")?;
-        total += played.total_reward;
-        steps += played.length;
-        let succeeded = played.success == Some(true);
+        total += played.episode.total_reward;
+        steps += played.episode.length;
+        let succeeded = played.episode.success == Some(true);
         reached += u32::from(succeeded);
         if !(succeeded || args.all) {
             continue;
@@ -53,7 +53,7 @@ pub(super) fn run(args: &Record) -> Result<()> {
         ensure!(
             !played.path.is_empty(),
             "episode {episode} has {} steps, too many to record; accepted: fewer, as env.step_limit makes them",
-            played.length
+            played.episode.length
         );
         if holds(&demonstration, &played.path, played.terminated) {
             repeated += 1;

@@ -4,7 +4,8 @@
 use serde::{Deserialize, Serialize, Serializer};
 use std::borrow::Cow;
 use std::collections::VecDeque;
-use trestle_algorithm::agent::{Counters, Episode};
+use trestle_algorithm::agent::Counters;
+use trestle_proto::episode::Episode;
 
 /// Episodes that the rolling means look back on, as in Stable-Baselines3.
 pub const WINDOW: usize = 100;
