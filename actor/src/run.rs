@@ -124,9 +124,8 @@ impl Serving<'_> {
             Err(LinkError::Interrupted(_)) => return Ok(()),
             done => done?,
         }
-        let incarnation = self.worker.incarnation();
-        self.reply(incarnation.into(), JOINED, Vec::new());
-        tracing::info!(%incarnation, "ready");
+        self.reply(0, JOINED, Vec::new());
+        tracing::info!(incarnation = %self.worker.incarnation(), "ready");
         Ok(())
     }
 
@@ -198,7 +197,8 @@ impl Serving<'_> {
     }
 
     fn reply(&mut self, number: u64, kind: u32, payload: Vec<u8>) {
-        let header = ReplyHeader { run: self.run, number, actor: self.worker.index(), kind };
+        let (actor, incarnation) = (self.worker.index(), self.worker.incarnation());
+        let header = ReplyHeader { run: self.run, number, actor, kind, incarnation, reserved: 0 };
         self.pending = Some(Message::Reply(Reply { header, payload }));
     }
 
@@ -255,12 +255,12 @@ mod tests {
                 .unwrap()
                 .unwrap()
             {
-                FromActor::Reply(reply) => (reply.header.kind, reply.header.number),
+                FromActor::Reply(reply) => (reply.header.kind, reply.header.incarnation),
                 FromActor::Batch => panic!("a batch that was not granted"),
             };
-            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(0, 1).into()));
+            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(0, 1)));
             learner.send_orders(&Orders { run: plan.life.run, generation: 1, ..Orders::default() }).unwrap();
-            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(1, 0).into()));
+            assert_eq!(announced(&mut learner), (JOINED, Incarnation::new(1, 0)));
             over.store(true, Ordering::Relaxed);
         });
     }

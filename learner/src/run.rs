@@ -346,7 +346,7 @@ impl<'a> Loop<'a> {
     fn take_reply(&mut self, reply: Reply) -> Result<(), RunError> {
         let (actor, number) = (reply.header.actor, reply.header.number);
         match reply.header.kind {
-            JOINED => self.join(actor, number),
+            JOINED => self.join(actor, reply.header.incarnation),
             EVALUATION => {
                 let evaluation: Evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
                 // An actor and the one that replaces it may both have played the same. One that has not announced itself to this
@@ -375,13 +375,12 @@ impl<'a> Loop<'a> {
     }
 
     /// An actor has announced itself. In lockstep it was expected.
-    fn join(&mut self, actor: u32, number: u64) -> Result<(), RunError> {
-        let incarnation = Incarnation::from(u32::try_from(number).unwrap_or(u32::MAX));
+    fn join(&mut self, actor: u32, incarnation: Incarnation) -> Result<(), RunError> {
         let (generation, present) = (incarnation.generation(), self.plan.life.generation);
         let seat = &mut self.seats[actor as usize];
         let known = seat.is_some_and(|seat| seat.incarnation >= incarnation);
         if generation > present || (self.barrier && !known) {
-            return Err(LinkError::Unexpected(format!("incarnation {number} of actor {actor}")).into());
+            return Err(LinkError::Unexpected(format!("incarnation {incarnation} of actor {actor}")).into());
         }
         // One of an earlier generation has not heard of this learner yet.
         if generation == present && !known {

@@ -29,9 +29,10 @@ struct Played<'a> {
 }
 
 impl Played<'_> {
-    fn joins(&mut self, incarnation: u64) {
+    fn joins(&mut self, incarnation: u32) {
+        let (run, incarnation) = (self.plan.life.run, incarnation.into());
         let header =
-            ReplyHeader { run: self.plan.life.run, number: incarnation, actor: self.index, kind: JOINED };
+            ReplyHeader { run, actor: self.index, kind: JOINED, incarnation, ..ReplyHeader::default() };
         self.link.send_reply(&Reply { header, payload: Vec::new() }).unwrap();
     }
 
@@ -49,6 +50,7 @@ impl Played<'_> {
             number: evaluation + 1,
             actor: self.index,
             kind: EVALUATION,
+            ..ReplyHeader::default()
         };
         let episode = Episode { total_reward, length: 1, success: Some(false) };
         let episodes = vec![EvaluationEpisode { episode, ..EvaluationEpisode::default() }];

@@ -190,7 +190,9 @@ pub struct ActingHeader {
     /// The round after which these weights stood; 0 for the initial ones.
     pub version: Round,
     /// The learner's start that they are of ([`crate::plan::Life::generation`]).
-    pub generation: u32,
+    pub generation: u16,
+    /// 0.
+    pub reserved: u16,
     /// CRC-32C of the payload's bytes.
     pub checksum: u32,
     /// Entries of the table of known actions.
@@ -272,7 +274,7 @@ impl ActingHeader {
         let mut header = Self {
             run,
             version,
-            generation: generation.into(),
+            generation,
             checksum: acting.checksum(),
             known: known as u32,
             policy: policy as u32,

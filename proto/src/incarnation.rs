@@ -27,6 +27,11 @@ impl Incarnation {
     pub fn generation(self) -> u16 {
         (self.0 >> 16) as u16
     }
+
+    /// The next replacement since the same start of the learner; the last one that can be counted stays.
+    pub fn next(self) -> Self {
+        Self::new(self.generation(), (self.0 as u16).saturating_add(1))
+    }
 }
 
 impl From<u32> for Incarnation {
@@ -72,6 +77,8 @@ mod tests {
         let lives = lives.map(|(generation, replacements)| Incarnation::new(generation, replacements));
         assert!(lives.is_sorted());
         assert_eq!(lives.map(Incarnation::generation), [0, 0, 0, 1, u16::MAX]);
+        assert_eq!(Incarnation::new(1, 2).next(), Incarnation::new(1, 3));
+        assert_eq!(Incarnation::new(1, u16::MAX).next(), Incarnation::new(1, u16::MAX));
         assert_eq!(Incarnation::new(1, 2).to_string(), "65538");
         assert_eq!("65538".parse(), Ok(Incarnation::new(1, 2)));
     }

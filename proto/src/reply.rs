@@ -4,6 +4,7 @@
 
 use crate::codec::Kind;
 use crate::episode::Episode;
+use crate::incarnation::Incarnation;
 use crate::message::Message;
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const EVALUATION: u32 = 1;
 /// The payload is the actor's state, to be handed back to it when the run is resumed.
 pub const ACTOR_STATE: u32 = 2;
-/// No payload: an actor has come. In the place of the number stands its incarnation.
+/// No payload: an actor has come.
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].
@@ -24,16 +25,20 @@ pub const EVALUATION_KIND: Kind = Kind { magic: *b"TREVAL\0\0", version: 4 };
 pub struct ReplyHeader {
     /// Identity of the run.
     pub run: u64,
-    /// What was asked for: the number of the evaluation or of the snapshot, as the orders have it.
+    /// What was asked for: the number of the evaluation or of the snapshot, as the orders have it; 0 for an actor that has come.
     pub number: u64,
     /// Index of the actor.
     pub actor: u32,
     /// One of the constants of this module.
     pub kind: u32,
+    /// The life of the actor that answers.
+    pub incarnation: Incarnation,
+    /// 0.
+    pub reserved: u32,
 }
 
 impl Message for ReplyHeader {
-    const TYPE_NAME: &'static str = "trestle.ReplyHeader.v2";
+    const TYPE_NAME: &'static str = "trestle.ReplyHeader.v3";
 }
 
 /// A reply in private memory.

@@ -55,7 +55,7 @@ struct Host {
     /// How many orders there had been when it was given some last.
     given: u64,
     /// Generation and version of the weights that it was given last.
-    acting: Option<(u32, Round)>,
+    acting: Option<(u16, Round)>,
     /// A message that the learner could not be given yet.
     waiting: Option<FromHost>,
     /// When something came from it last.
@@ -271,7 +271,7 @@ impl Head<'_> {
             let incarnation = self.next_life(seat, actor);
             self.holders[seat] = Some(peer);
             self.lives[seat] = Some(incarnation);
-            grant.seats.push(Seat { actor, incarnation: incarnation.into() });
+            grant.seats.push(Seat { actor, incarnation });
             actors.push(actor);
         }
         stream.push(&message::grant(&grant)?);
@@ -298,7 +298,7 @@ impl Head<'_> {
         // A former relay may have given lives away of which the learner has not heard.
         let least = Incarnation::new(generation, self.options.replacements.saturating_mul(256));
         let last = self.lives[seat].max(counted).filter(|life| life.generation() == generation);
-        last.map_or(least, |life| Incarnation::from(u32::from(life) + 1).max(least))
+        last.map_or(least, |life| life.next().max(least))
     }
 
     /// Answers a hello with a refusal; with `later` it may be another answer later.
@@ -352,7 +352,7 @@ impl Head<'_> {
         }
         let (generation, wanted) = (self.orders.generation, self.orders.weights_version);
         let Some((version, acting)) = self.seats[0].acting(generation, wanted)? else { return Ok(()) };
-        let newest = (u32::from(generation), version);
+        let newest = (generation, version);
         let mut header = None;
         for host in self.hosts.values_mut() {
             if host.given == self.ordered || !host.stream.is_idle() {
@@ -435,8 +435,7 @@ impl Head<'_> {
                     Err(LinkError::Interrupted(_)) => return Ok(Delivery::Later(message)),
                     said => said?,
                 }
-                let life = Incarnation::from(u32::try_from(reply.header.number).unwrap_or(u32::MAX));
-                self.lives[seat] = self.lives[seat].max(Some(life));
+                self.lives[seat] = self.lives[seat].max(Some(reply.header.incarnation));
                 self.seats[seat].send_reply(reply)
             }
             FromHost::Reply(reply) => self.seats[seat].send_reply(reply),

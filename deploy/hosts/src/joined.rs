@@ -327,8 +327,7 @@ impl Serving<'_> {
                     header
                         .receive(self.run, &self.sizes, &payload, &self.room, &mut self.copy)
                         .map_err(|error| wrong(&error))?;
-                    let generation = u16::try_from(header.generation).map_err(|error| wrong(&error))?;
-                    self.link.set_generation(generation);
+                    self.link.set_generation(header.generation);
                     self.link.send_acting(header.version, &self.copy)?;
                 }
                 logging::set_tick(orders.round);

@@ -10,6 +10,7 @@ use std::mem::offset_of;
 use trestle_proto::acting::{Acting, ActingHeader};
 use trestle_proto::batch::BatchHeader;
 use trestle_proto::codec::{self, CodecError, Kind};
+use trestle_proto::incarnation::Incarnation;
 use trestle_proto::orders::{Orders, Share};
 use trestle_proto::reply::{Reply, ReplyHeader};
 
@@ -53,7 +54,7 @@ pub struct Seat {
     /// Its index among all actors of the run.
     pub actor: u32,
     /// The incarnation that it begins as.
-    pub incarnation: u32,
+    pub incarnation: Incarnation,
 }
 
 /// The plan, the actors and the files with which a joined host begins.

@@ -90,7 +90,8 @@ fn act(mut link: impl ActorLink, index: u32) {
         }
         let (run, round) = (orders.run, orders.round);
         if orders.snapshot > 0 {
-            let header = ReplyHeader { run, number: orders.snapshot, actor: index, kind: ACTOR_STATE };
+            let (number, kind) = (orders.snapshot, ACTOR_STATE);
+            let header = ReplyHeader { run, number, actor: index, kind, ..ReplyHeader::default() };
             link.send_reply(&Reply { header, payload: vec![index as u8; 70_000] }).unwrap();
             continue;
         }

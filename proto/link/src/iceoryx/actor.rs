@@ -26,7 +26,7 @@ pub struct IceoryxActor {
     index: usize,
     weights: Subscriber<Ipc, [u32], Wire<ActingHeader>>,
     /// Generation and version of the newest weights received, and they themselves, kept because they may be acted with again.
-    newest: Option<(u32, Round)>,
+    newest: Option<(u16, Round)>,
     copy: Acting,
     orders: Subscriber<Ipc, [u8], Wire<Orders>>,
     transitions: Publisher<Ipc, [u32], Wire<BatchHeader>>,
@@ -136,7 +136,7 @@ impl ActorLink for IceoryxActor {
 
     fn acting(&mut self, generation: u16, at_least: Round) -> Result<Option<(Round, &Acting)>, LinkError> {
         self.update_weights()?;
-        let newest = self.newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
+        let newest = self.newest.filter(|(of, version)| *of == generation && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &self.copy)))
     }
 

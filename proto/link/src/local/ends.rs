@@ -138,7 +138,7 @@ impl<P: Place> LocalActor<P> {
     }
 
     /// Takes over the weights that were published last; returns their generation and version.
-    fn update(&mut self) -> Result<Option<(u32, Round)>, LinkError> {
+    fn update(&mut self) -> Result<Option<(u16, Round)>, LinkError> {
         let Self { place, run, sizes, room, copy, .. } = self;
         place.with(|wire, _| {
             let Some((header, payload)) = &wire.published else { return Ok(None) };
@@ -187,7 +187,7 @@ impl<P: Place> ActorLink for LocalActor<P> {
     fn acting(&mut self, generation: u16, at_least: Round) -> Result<Option<(Round, &Acting)>, LinkError> {
         self.place.step()?;
         let newest = self.update()?;
-        let newest = newest.filter(|(of, version)| *of == u32::from(generation) && *version >= at_least);
+        let newest = newest.filter(|(of, version)| *of == generation && *version >= at_least);
         Ok(newest.map(|(_, version)| (version, &self.copy)))
     }
 
