@@ -13,9 +13,7 @@ pub struct TrainStats {
     pub samples: u64,
     /// Sum over the steps of the mean loss of a step's samples.
     pub loss_sum: f64,
-    /// Sum over the samples of |target - Q|, where both losses are weighted as they were trained.
-    pub td_abs_sum: f64,
-    /// Samples trained with the mentor's loss; with `confidence` the sum of their weights Φ.
+    /// Sum over the samples of the weight of the mentor's loss, 0 to 1 each.
     pub mentor_weight_sum: f64,
     /// Samples that have a similar mentor transition.
     pub with_mentor: u64,
@@ -23,8 +21,6 @@ pub struct TrainStats {
     pub feasible: u64,
     /// Those of them whose mentor transition had to be bridged, and could be.
     pub bridged: u64,
-    /// Sum over the steps of the gradient's norm before clipping; 0 without clipping, where it is not computed.
-    pub grad_norm_sum: f64,
     /// Updates of the policy of learned bridges.
     pub policy_steps: u64,
     /// Sum over these updates of the mean loss of their samples, nats.
@@ -41,12 +37,10 @@ impl TrainStats {
         self.grad_steps += other.grad_steps;
         self.samples += other.samples;
         self.loss_sum += other.loss_sum;
-        self.td_abs_sum += other.td_abs_sum;
         self.mentor_weight_sum += other.mentor_weight_sum;
         self.with_mentor += other.with_mentor;
         self.feasible += other.feasible;
         self.bridged += other.bridged;
-        self.grad_norm_sum += other.grad_norm_sum;
         self.policy_steps += other.policy_steps;
         self.policy_loss_sum += other.policy_loss_sum;
         self.imitation_steps += other.imitation_steps;
@@ -56,11 +50,6 @@ impl TrainStats {
     /// Mean loss of a sample; NaN without any.
     pub fn loss_mean(&self) -> f64 {
         self.loss_sum / self.grad_steps as f64
-    }
-
-    /// Mean |target - Q| of a sample; NaN without any.
-    pub fn td_abs_mean(&self) -> f64 {
-        self.td_abs_sum / self.samples as f64
     }
 
     /// Share of the samples that were trained with the mentor's loss; NaN without any.
@@ -76,11 +65,6 @@ impl TrainStats {
     /// Mean loss of imitation; NaN without any.
     pub fn imitation_loss_mean(&self) -> f64 {
         self.imitation_loss_sum / self.imitation_steps as f64
-    }
-
-    /// Mean norm of the gradient before clipping; NaN without any.
-    pub fn grad_norm_mean(&self) -> f64 {
-        self.grad_norm_sum / self.grad_steps as f64
     }
 }
 

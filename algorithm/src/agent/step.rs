@@ -34,7 +34,7 @@ impl Agent {
     /// One gradient step.
     pub(super) fn gradient_step(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
         self.differentiate(stats)?;
-        self.descend(stats)?;
+        self.descend()?;
         self.follow()?;
         stats.grad_steps += 1;
         Ok(())
@@ -87,13 +87,13 @@ impl Agent {
     }
 
     /// θ by one step of Adam against g, whose norm may be clipped.
-    fn descend(&mut self, stats: &mut TrainStats) -> Result<(), AgentError> {
+    fn descend(&mut self) -> Result<(), AgentError> {
         let (adam, settings, gradient) = (&mut self.adam, &self.settings, &mut self.step.gradient);
         let (kernels, threads) = (self.step.workspace.kernels(), self.step.workspace.threads());
         let max_norm = settings.learner.max_grad_norm as f32;
         self.network.update(|theta| {
             if max_norm > 0.0 {
-                stats.grad_norm_sum += f64::from(clip_grad_norm(kernels, gradient, max_norm));
+                clip_grad_norm(kernels, gradient, max_norm);
             }
             adam.step(&settings.adam, kernels, threads, theta, gradient);
         })?;

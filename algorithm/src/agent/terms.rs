@@ -169,7 +169,6 @@ impl Terms {
             let q = samples.q.at(term.row, term.action);
             let weight = f64::from(term.weight);
             loss += weight * f64::from(settings.loss.value(q, term.target));
-            stats.td_abs_sum += weight * f64::from((term.target - q).abs());
             if term.mentor.is_some() {
                 stats.mentor_weight_sum += weight;
             }

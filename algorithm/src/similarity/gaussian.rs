@@ -1,5 +1,4 @@
-//! Covariance matrices in double precision: the Cholesky factor, and the KL divergence of two normals with different
-//! covariances. The state distance is a special case of that formula.
+//! Covariance matrices in double precision: the Cholesky factor, and what it makes of a difference of two means.
 //!
 //! Matrices are square, row-major slices of `dim * dim` numbers.
 
@@ -16,14 +15,12 @@ pub enum GaussianError {
         /// Its value.
         pivot: f64,
     },
-    /// Sizes that do not belong together.
-    #[error("{what} has {found} numbers; accepted: {expected}")]
+    /// Another dimension's.
+    #[error("covariance has {found} numbers; accepted: {expected}")]
     Size {
-        /// Which argument.
-        what: &'static str,
         /// Its length.
         found: usize,
-        /// The length that the first mean asks for.
+        /// The length that the dimension asks for.
         expected: usize,
     },
 }
@@ -34,7 +31,10 @@ pub enum GaussianError {
 /// # Errors
 /// A covariance that is not positive definite to machine precision.
 pub fn cholesky(covariance: &[f64], dim: usize) -> Result<Vec<f64>, GaussianError> {
-    check("covariance", covariance.len(), dim * dim)?;
+    let (found, expected) = (covariance.len(), dim * dim);
+    if found != expected {
+        return Err(GaussianError::Size { found, expected });
+    }
     let mut factor = vec![0.0; dim * dim];
     for row in 0..dim {
         for col in 0..=row {
@@ -64,42 +64,11 @@ pub fn solve_lower(factor: &[f64], x: &mut [f64]) {
     }
 }
 
-/// KL(N0 ‖ N1) of two multivariate normals, in nats:
-/// ½ [ tr(Σ1⁻¹ Σ0) + (μ1 - μ0)ᵀ Σ1⁻¹ (μ1 - μ0) - d + ln det Σ1 - ln det Σ0 ].
-///
-/// With Σ0 = Σ1 the trace is d and the determinants cancel, which leaves the state distance ([`super::metric`]).
-///
-/// # Errors
-/// Sizes that do not fit, or a covariance that is not positive definite.
-pub fn kl_gaussians(mean0: &[f64], cov0: &[f64], mean1: &[f64], cov1: &[f64]) -> Result<f64, GaussianError> {
-    let dim = mean0.len();
-    check("second mean", mean1.len(), dim)?;
-    let (l0, l1) = (cholesky(cov0, dim)?, cholesky(cov1, dim)?);
-    // tr(Σ1⁻¹ Σ0) is the squared Frobenius norm of L1⁻¹ L0.
-    let mut trace = 0.0;
-    let mut column = vec![0.0; dim];
-    for col in 0..dim {
-        for row in 0..dim {
-            column[row] = l0[row * dim + col];
-        }
-        solve_lower(&l1, &mut column);
-        trace += column.iter().map(|x| x * x).sum::<f64>();
-    }
-    let mut difference: Vec<f64> = mean1.iter().zip(mean0).map(|(b, a)| b - a).collect();
-    solve_lower(&l1, &mut difference);
-    let distance: f64 = difference.iter().map(|x| x * x).sum();
-    let log_det = |l: &[f64]| (0..dim).map(|i| 2.0 * l[i * dim + i].ln()).sum::<f64>();
-    Ok(0.5 * (trace + distance - dim as f64 + log_det(&l1) - log_det(&l0)))
-}
-
-fn check(what: &'static str, found: usize, expected: usize) -> Result<(), GaussianError> {
-    if found == expected { Ok(()) } else { Err(GaussianError::Size { what, found, expected }) }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::similarity::testing::kl_gaussians;
     use proptest::prelude::*;
 
     fn close(a: f64, b: f64) -> bool {
@@ -129,7 +98,7 @@ mod tests {
         fn one_dimension_in_closed_form(m0 in -5.0..5.0, m1 in -5.0..5.0, s0 in 0.1..4.0, s1 in 0.1..4.0) {
             let (m0, m1, s0, s1): (f64, f64, f64, f64) = (m0, m1, s0, s1);
             let expected = (s1 / s0).ln() + (s0 * s0 + (m0 - m1) * (m0 - m1)) / (2.0 * s1 * s1) - 0.5;
-            let found = kl_gaussians(&[m0], &[s0 * s0], &[m1], &[s1 * s1]).unwrap();
+            let found = kl_gaussians(&[m0], &[s0 * s0], &[m1], &[s1 * s1]);
             prop_assert!(close(found, expected), "{found} {expected}");
             prop_assert!(found > -1e-9);
         }
@@ -147,8 +116,8 @@ mod tests {
             };
             let means = |pick: fn(&(f64, f64, f64, f64)) -> f64| f.iter().map(pick).collect::<Vec<_>>();
             let found =
-                kl_gaussians(&means(|x| x.0), &diagonal(|x| x.2), &means(|x| x.1), &diagonal(|x| x.3)).unwrap();
-            let expected: f64 = f.iter().map(|x| kl_gaussians(&[x.0], &[x.2], &[x.1], &[x.3]).unwrap()).sum();
+                kl_gaussians(&means(|x| x.0), &diagonal(|x| x.2), &means(|x| x.1), &diagonal(|x| x.3));
+            let expected: f64 = f.iter().map(|x| kl_gaussians(&[x.0], &[x.2], &[x.1], &[x.3])).sum();
             prop_assert!(close(found, expected), "{found} {expected}");
         }
     }

@@ -1,5 +1,9 @@
-//! Point sets for properties: random ones, and sets that indexes tend to get wrong.
+//! Point sets for properties: random ones, and sets that indexes tend to get wrong. And the formula whose special case the state
+//! distance is.
 
+#![allow(clippy::unwrap_used)]
+
+use super::gaussian::{cholesky, solve_lower};
 use super::metric::APART;
 use proptest::prelude::*;
 
@@ -29,4 +33,28 @@ pub(crate) fn points(count: std::ops::Range<usize>) -> impl Strategy<Value = (us
             (dim, rest.iter().enumerate().map(feature).collect())
         })
     })
+}
+
+/// KL(N0 ‖ N1) of two multivariate normals, in nats:
+/// ½ [ tr(Σ1⁻¹ Σ0) + (μ1 - μ0)ᵀ Σ1⁻¹ (μ1 - μ0) - d + ln det Σ1 - ln det Σ0 ].
+///
+/// With Σ0 = Σ1 the trace is d and the determinants cancel, which leaves the state distance ([`super::metric`]).
+pub(crate) fn kl_gaussians(mean0: &[f64], cov0: &[f64], mean1: &[f64], cov1: &[f64]) -> f64 {
+    let dim = mean0.len();
+    let (l0, l1) = (cholesky(cov0, dim).unwrap(), cholesky(cov1, dim).unwrap());
+    // tr(Σ1⁻¹ Σ0) is the squared Frobenius norm of L1⁻¹ L0.
+    let mut trace = 0.0;
+    let mut column = vec![0.0; dim];
+    for col in 0..dim {
+        for row in 0..dim {
+            column[row] = l0[row * dim + col];
+        }
+        solve_lower(&l1, &mut column);
+        trace += column.iter().map(|x| x * x).sum::<f64>();
+    }
+    let mut difference: Vec<f64> = mean1.iter().zip(mean0).map(|(b, a)| b - a).collect();
+    solve_lower(&l1, &mut difference);
+    let distance: f64 = difference.iter().map(|x| x * x).sum();
+    let log_det = |l: &[f64]| (0..dim).map(|i| 2.0 * l[i * dim + i].ln()).sum::<f64>();
+    0.5 * (trace + distance - dim as f64 + log_det(&l1) - log_det(&l0))
 }

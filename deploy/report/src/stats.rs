@@ -40,14 +40,6 @@ pub fn standard_deviation(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Interquartile mean: the mean of the values that remain when a quarter of them, rounded down, is cut off at either end
-/// (SciPy's `trim_mean` of 0.25, which rliable uses). NaN without values. `values` are reordered.
-pub fn interquartile_mean(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let cut = values.len() / 4;
-    mean(&values[cut..values.len() - cut])
-}
-
 /// Median; of an even number the mean of the middle two, infinite if one of them is; NaN of nothing. `values` are
 /// reordered.
 pub fn median(values: &mut [f64]) -> f64 {
@@ -228,6 +220,14 @@ mod tests {
         /// Standard deviation of the interval's ends over repeated bootstraps.
         iqm_noise: f64,
         improvement_noise: f64,
+    }
+
+    /// Interquartile mean: the mean of the values that remain when a quarter of them, rounded down, is cut off at either end
+    /// (SciPy's `trim_mean` of 0.25, which rliable uses).
+    fn interquartile_mean(values: &mut [f64]) -> f64 {
+        values.sort_unstable_by(f64::total_cmp);
+        let cut = values.len() / 4;
+        mean(&values[cut..values.len() - cut])
     }
 
     fn close(found: f64, expected: f64, within: f64) {
