@@ -1,5 +1,5 @@
 //! The tables of docs/configuration.md are those of the settings' declarations, and docs/algorithm.md has the table of selection
-//! rules.
+//! rules. docs/protocol.md has the version of each message, and the quoted refusals are those of the program.
 //!
 //! `TRESTLE_WRITE_DOCS=1 cargo test --test integration documentation` writes them anew.
 
@@ -9,7 +9,18 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
-use trestle_proto::config::{Environments, Setting, declared, listed};
+use trestle_hosts::message::{GRANT_KIND, HELLO_KIND};
+use trestle_learner::checkpoint;
+use trestle_proto::acting::ActingHeader;
+use trestle_proto::batch::BatchHeader;
+use trestle_proto::codec::{self, Kind};
+use trestle_proto::config::{self, Environments, Setting, Table, declared, listed};
+use trestle_proto::message::Message;
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest};
+use trestle_proto::orders::Orders;
+use trestle_proto::plan::{PLAN_KIND, RunPlan};
+use trestle_proto::query::{QueryAnswer, QueryRequest};
+use trestle_proto::reply::{EVALUATION_KIND, ReplyHeader};
 
 const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/configuration.md");
 /// What stands before a table, with the key of the settings' table, and after it.
@@ -91,6 +102,58 @@ fn every_preset_is_documented() {
         let row = format!("| `{}` | {} |", preset.name, preset.about());
         assert!(text.contains(&row), "docs/configuration.md lacks: {row}");
     }
+}
+
+fn page(name: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(name)).unwrap()
+}
+
+/// The page has the type name of `M`, with its version, and the size of `M` in the heading of its layout.
+fn is_documented<M: Message>(page: &str) {
+    let name = M::TYPE_NAME.split('.').nth(1).unwrap();
+    let heading = format!("\n### `{name}`, {} bytes\n", size_of::<M>());
+    assert!(page.contains(&format!("`{}`", M::TYPE_NAME)), "docs/protocol.md lacks {}", M::TYPE_NAME);
+    assert!(page.contains(&heading), "docs/protocol.md lacks: {heading}");
+}
+
+#[test]
+fn every_message_is_documented_with_its_version_and_size() {
+    let page = page("protocol.md");
+    is_documented::<BatchHeader>(&page);
+    is_documented::<ActingHeader>(&page);
+    is_documented::<Orders>(&page);
+    is_documented::<ReplyHeader>(&page);
+    is_documented::<ObserveRequest>(&page);
+    is_documented::<ObserveAnswer>(&page);
+    is_documented::<QueryRequest>(&page);
+    is_documented::<QueryAnswer>(&page);
+    for Kind { magic, version } in [EVALUATION_KIND, PLAN_KIND, HELLO_KIND, GRANT_KIND] {
+        let frame = format!("`{}`, version {version}", String::from_utf8_lossy(&magic).replace('\0', "\\0"));
+        assert!(page.contains(&frame), "docs/protocol.md lacks: {frame}");
+    }
+}
+
+#[test]
+fn refusals_are_quoted_as_they_are_said() {
+    let reliability = page("reliability.md");
+    let said = |text: String| assert!(reliability.contains(&text), "docs/reliability.md lacks: {text}");
+    let wrong: [&[&str]; 4] = [
+        &["learner.gamma=1.5"],
+        &["learner.lr=fast"],
+        &["learner.gama=0.9"],
+        &["env.hazard.kind=abort", "env.hazard.after=0"],
+    ];
+    for sets in wrong {
+        let sets: Vec<String> = sets.iter().copied().chain(["run.episodes=1"]).map(String::from).collect();
+        said(config::from_table(registry(), Table::new(), &sets).unwrap_err().to_string());
+    }
+    said(RunPlan::decode(b"rubbish").unwrap_err().to_string());
+    let newer = Kind { version: PLAN_KIND.version + 1, ..PLAN_KIND };
+    let newer = RunPlan::decode(&codec::encode(newer, &()).unwrap()).unwrap_err().to_string();
+    let formats = format!("accepted: 4 to {}", checkpoint::FORMAT);
+    assert!(page("versions.md").contains(&newer) && page("versions.md").contains(&formats), "{newer} {formats}");
+    said(newer);
+    said(formats);
 }
 
 /// An environment is its folder and a line of the registry: nothing else names its modules.
