@@ -20,6 +20,11 @@ use trestle_proto::limits::FENCE_WAIT;
 use trestle_proto::rundir::RunDir;
 
 /// Time between two looks at a lock that somebody else has.
+///
+/// The system has no wait that would do instead. `flock` waits without a deadline: a thread that waited in it could only be
+/// abandoned, and would later take a lock that its start has given up. The locks that do take a deadline need a file that is open
+/// for writing, which a directory never is. Nothing announces the end of a lock. And a start waits for more than the lock: for
+/// another directory in the place, for a run that turns out to live. So it looks, for [`FENCE_WAIT`] at most, once in a start.
 const LOOK: Duration = Duration::from_millis(20);
 /// Time after which the user is told what is waited for.
 const SILENCE: Duration = Duration::from_secs(1);
