@@ -1,4 +1,4 @@
-//! Input of peers, files and people that is wrong on purpose: refused by whoever reads it, never a panic.
+//! Input of peers, files and people that is wrong on purpose: refused by its reader, never a panic.
 
 use proptest::prelude::*;
 use trestle_fuzz::{ALL, seeds};

@@ -79,7 +79,7 @@ pub const BEAT: Duration = Duration::from_secs(1);
 pub const MIN_DEADLINE_S: u32 = 3;
 /// Most such seconds.
 pub const MAX_DEADLINE_S: u32 = 86_400;
-/// How long the supervisor waits for the end of whoever is to blame when a process says that it has lost another.
+/// How long the supervisor waits for the end of a process when another one says that it has lost it.
 pub const BLAME: Duration = Duration::from_secs(1);
 /// Pause before the second restart of a run that does not get ahead; it doubles with each further one.
 pub const RESTART_BACKOFF: Duration = Duration::from_millis(250);

@@ -1,8 +1,8 @@
 //! The interface of an environment, shaped like Gymnasium's, and the registry of the environments to choose from.
 //!
-//! An environment is a folder here and a line of [`Registry::builtin`] in this file, which is all that names it; `grid` is what
-//! several of them share. Nothing outside
-//! an environment's folder knows its settings: configurations carry them as data, and only its [`Kind`] reads them.
+//! An environment is a folder here and a line of [`Registry::builtin`] in this file, which is all that names it; several of them
+//! share `grid`. Nothing outside an environment's folder knows its settings: configurations carry them as data, and only its
+//! [`Kind`] reads them.
 //!
 //! What differs from Gymnasium: `reset` takes a random stream instead of a seed, so that the stream can be saved
 //! with the run; observations are written into the caller's buffer; an environment can be saved and restored in

@@ -26,7 +26,7 @@
 //! | `rows` bytes each | flags, actors |
 //! | `w` words each | s' of those transitions that have one of their own |
 //!
-//! Checksums are the business of whoever writes the files (a checkpoint's manifest).
+//! The files have no checksums of their own: the manifest of a checkpoint has them.
 
 use super::Replay;
 use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, cast_slice_mut};

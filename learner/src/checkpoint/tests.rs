@@ -339,7 +339,7 @@ fn full_segments_are_written_once() {
     assert!(everything(&loaded.agent) == everything(&agent));
 }
 
-/// What cannot be written is reported by whoever takes the next checkpoint, or waits for this one.
+/// A checkpoint that cannot be written is reported when the next one is taken, or this one waited for.
 #[test]
 fn a_failure_to_write_is_reported() {
     let plan = plan(&[]);
@@ -389,7 +389,7 @@ fn a_sound_checkpoint_of_the_same_tick_is_kept_only_if_it_is_ones_own() {
         assert!(everything(&loaded.agent) == everything(&own), "{what}");
         assert_eq!(newest_resumable(dir.path(), &plan).unwrap().unwrap().0, 6.into(), "{what}");
     }
-    // What a learner has gone on from is the same cut, whoever wrote it.
+    // What a learner has gone on from is the same cut, whichever learner wrote it.
     let (dir, _) = run(&first, &[4, 6]);
     let mut saver = Saver::after(dir.path(), 6.into()).unwrap();
     let written = || fs::metadata(directory(dir.path(), 6).join(MANIFEST)).unwrap().modified().unwrap();

@@ -88,7 +88,7 @@ impl Lines {
         self.file.flush().map_err(io("write", &self.path))
     }
 
-    /// Hands all lines to the operating system; returns the file for whoever sees to it that they reach the disk.
+    /// Hands all lines to the operating system; returns the file, whose lines the caller brings to the disk.
     pub(super) fn unsynced(&mut self) -> Result<Unsynced, RecordError> {
         self.flush()?;
         let file = self.file.get_ref().try_clone().map_err(io("write", &self.path))?;

@@ -1,4 +1,4 @@
-//! How far a run is, for whoever watches it, and how long it still takes.
+//! How far a run is and how long it still takes, for people.
 
 use serde::{Deserialize, Serialize};
 use trestle_algorithm::agent::Counters;

@@ -46,7 +46,7 @@ impl OwnLog {
         (there.is_file() && (own.dev(), own.ino()) == (there.dev(), there.ino())).then_some(own.len())
     }
 
-    /// Begins a new file if the log has grown to its limit. To be called now and then, whoever wrote the lines.
+    /// Begins a new file if the log has grown to its limit, whichever process wrote the lines. To be called now and then.
     ///
     /// # Errors
     /// What the system says. The log grows on then.

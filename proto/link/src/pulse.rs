@@ -1,6 +1,6 @@
-//! Whether this process gets ahead in its work, for whoever watches over it.
+//! Whether this process gets ahead in its work, for the supervisor.
 //!
-//! What works calls [`step`] whenever it has finished a piece: an environment step, a gradient step, a request, or a
+//! Code that works calls [`step`] whenever it has finished a piece: an environment step, a gradient step, a request, or a
 //! wait that found nothing. Another thread looks at the count and tells the supervisor once a [`BEAT`](trestle_proto::limits::BEAT),
 //! by a byte on its line: [`BUSY`] or [`IDLE`].
 
