@@ -7,6 +7,7 @@ use crate::credentials::Credentials;
 use crate::url::Url;
 use crate::{Failure, pipe};
 use std::io::{stderr, stdin};
+use std::os::unix::process::parent_id;
 use std::process;
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
 use std::thread;
@@ -28,6 +29,10 @@ const MAX_MESSAGE: usize = 131_072;
 const PATIENCE_US: u64 = 20_000_000;
 /// Records that may wait to be published. More wait in the pipe.
 const WAITING: usize = 16;
+/// How long another program may still have the port: the one before this one, whose starter was killed, needs a moment to notice.
+const BIND_MS: u32 = 5000;
+/// How often this program looks whether its starter is still there.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Lets Zenoh say on standard error what goes wrong: standard output is for records.
 fn log() {
@@ -39,12 +44,24 @@ fn log() {
 /// Listens at `url` for other hosts, until standard input ends.
 pub(crate) fn listen(url: &Url, credentials: Option<&str>) -> Result<(), Failure> {
     log();
+    leave_with(parent_id());
     let mut config = config(url, credentials)?;
     set(&mut config, "mode", "\"router\"")?;
     set(&mut config, "listen/endpoints", &format!("[{:?}]", url.locator))?;
     set(&mut config, "listen/exit_on_failure", "true")?;
+    set(&mut config, "listen/timeout_ms", &BIND_MS.to_string())?;
+    set(
+        &mut config,
+        "listen/retry",
+        r#"{"period_init_ms":100,"period_max_ms":400,"period_increase_factor":2.0}"#,
+    )?;
     let output = pipe::output();
-    let session = zenoh::open(config).wait()?;
+    let session = zenoh::open(config).wait().map_err(|error| {
+        format!(
+            "{}: cannot listen there for {BIND_MS} ms ({error}); is it this host's, and free?",
+            url.locator
+        )
+    })?;
     let heard = output.clone();
     let subscriber = session.declare_subscriber("trestle/up/*").callback(move |sample| {
         let peer =
@@ -60,6 +77,7 @@ pub(crate) fn listen(url: &Url, credentials: Option<&str>) -> Result<(), Failure
 /// Connects to the host that listens at `url`, as `id`, and again whenever the connection is lost, until standard input ends.
 pub(crate) fn connect(url: &Url, id: u64, credentials: Option<&str>) -> Result<(), Failure> {
     log();
+    leave_with(parent_id());
     let mut config = config(url, credentials)?;
     set(&mut config, "mode", "\"client\"")?;
     set(&mut config, "connect/endpoints", &format!("[{:?}]", url.locator))?;
@@ -140,6 +158,17 @@ pub(crate) fn set(config: &mut Config, key: &str, value: &str) -> Result<(), Fai
         return Err(format!("Zenoh has {key} = {found}; {value} was asked for").into());
     }
     Ok(())
+}
+
+/// Ends this program as soon as its starter, `parent`, is gone. The end of standard input says so as well, but a record may wait for
+/// the network meanwhile, and whoever comes next needs the port.
+fn leave_with(parent: u32) {
+    thread::spawn(move || {
+        while parent_id() == parent {
+            thread::sleep(LOOK);
+        }
+        process::exit(0);
+    });
 }
 
 fn greet(output: &SyncSender<pipe::Record>) -> Result<(), Failure> {
