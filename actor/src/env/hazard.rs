@@ -15,6 +15,8 @@ use trestle_proto::space::EnvSpec;
 
 /// How long a stalled thread sleeps at a time: nothing wakes it.
 const SLEEP: Duration = Duration::from_secs(3600);
+/// What a slow step takes more.
+const SLOW: Duration = Duration::from_millis(1);
 
 /// The hazard of one process, whose environments fail by one count.
 #[derive(Debug)]
@@ -63,9 +65,13 @@ impl Environment for Hazardous {
             self.taken.fetch_add(1, Ordering::Relaxed);
             return Ok(step);
         }
+        if kind == HazardKind::Slow {
+            thread::sleep(SLOW);
+            return self.env.step(action, obs);
+        }
         tracing::warn!(kind = kind.name(), after, "env.hazard strikes");
         match kind {
-            HazardKind::None => self.env.step(action, obs),
+            HazardKind::None | HazardKind::Slow => self.env.step(action, obs),
             HazardKind::Abort => std::process::abort(),
             HazardKind::Panic => {
                 panic!("env.hazard: the panic that was asked for, after {after} steps of the process")

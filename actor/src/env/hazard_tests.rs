@@ -62,6 +62,15 @@ fn before_it_strikes_it_is_the_environment_itself() {
 }
 
 #[test]
+fn a_slow_environment_is_the_environment_itself_but_for_the_time() {
+    let expected = walk(bare().as_mut(), 100, &mut stream(3, Purpose::Environment, 0));
+    let mut env = hazards(HazardKind::Slow, 60, HazardScope::Both).around(bare(), HazardScope::Training);
+    let start = Instant::now();
+    assert!(walk(env.as_mut(), 100, &mut stream(3, Purpose::Environment, 0)) == expected);
+    assert!(start.elapsed() >= 40 * SLOW);
+}
+
+#[test]
 fn an_error_is_one_from_then_on_and_changes_nothing() {
     let (mut env, obs) = about_to_fail(HazardKind::Error, 7);
     let before = env.snapshot().unwrap();

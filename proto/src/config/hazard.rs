@@ -33,6 +33,8 @@ choices! {
         NanReward = "nan-reward",
         /// The step gives NaN as the last feature of the state reached.
         NanState = "nan-state",
+        /// The step takes a millisecond longer, and does no harm: a stand-in for slow environments.
+        Slow = "slow",
     }
 }
 
@@ -57,8 +59,8 @@ mod tests {
 
     #[test]
     fn every_kind_survives_toml_under_its_name() {
-        use HazardKind::{Abort, Error, NanReward, NanState, None, Panic, Stall};
-        for kind in [None, Abort, Panic, Error, Stall, NanReward, NanState] {
+        use HazardKind::{Abort, Error, NanReward, NanState, None, Panic, Slow, Stall};
+        for kind in [None, Abort, Panic, Error, Stall, NanReward, NanState, Slow] {
             for (during, scope) in [
                 ("both", HazardScope::Both),
                 ("training", HazardScope::Training),
