@@ -1,6 +1,7 @@
 //! The process that learns: it feeds [`trestle_algorithm::agent::Agent`], and keeps records and checkpoints.
 
 pub mod checkpoint;
+mod rebuild;
 pub mod record;
 pub mod run;
 pub mod session;

@@ -12,19 +12,19 @@
 //! may itself have taken another's place: then the actors learn of it from its first orders, and announce themselves anew.
 
 use crate::checkpoint::Taken;
+use crate::rebuild::{rebuild_mentor, request};
 use crate::record::Progress;
 use crate::session::{Resumed, Session, SessionError};
 use std::time::{Duration, Instant};
 use trestle_link::{FromActor, LearnerLink, LinkError, Stop, logging, pulse};
 use trestle_proto::acting::Acting;
-use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, Checked};
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::config::Mode;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
-use trestle_proto::observe::{Answers, OBSERVE, ObserveRequest, Part, REBUILD, RESTORE};
+use trestle_proto::observe::{Answers, OBSERVE, Part};
 use trestle_proto::orders::{Orders, Share};
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{NOT_READY, QueryRequest, TRANSITIONS, status_text};
@@ -482,7 +482,7 @@ impl<'a> Loop<'a> {
                     joined => joined?,
                 }
             }
-            match rebuild_mentor(self.link, self.plan, &self.session) {
+            match rebuild_mentor(self.link, self.plan, self.session.agent(), self.session.tick()) {
                 Ok(()) => break,
                 Err(RunError::Link(error)) if !self.barrier && is_lost_mentor(&error) => {
                     tracing::warn!("the mentor-server is lost: {error}");
@@ -646,11 +646,6 @@ fn is_lost_mentor(error: &LinkError) -> bool {
     }
 }
 
-fn request(plan: &RunPlan, round: Round, first_index: u64, op: u32, count: usize) -> ObserveRequest {
-    let (run, count, obs_dim) = (plan.life.run, count as u32, plan.experiment.spec.obs_dim() as u32);
-    ObserveRequest { run, round, first_index, op, count, obs_dim, reserved: 0 }
-}
-
 /// Asks the mentor-server for the mentor's transitions, piece by piece.
 fn fetch_transitions(link: &mut dyn LearnerLink, plan: &RunPlan) -> Result<MentorTransitions, RunError> {
     let experiment = &plan.experiment;
@@ -674,28 +669,6 @@ fn fetch_transitions(link: &mut dyn LearnerLink, plan: &RunPlan) -> Result<Mento
         }
     }
     Ok(transitions)
-}
-
-/// Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
-fn rebuild_mentor(link: &mut dyn LearnerLink, plan: &RunPlan, session: &Session<'_>) -> Result<(), RunError> {
-    let (agent, round) = (session.agent(), session.tick());
-    let replay = agent.replay();
-    let mut batch = Batch::default();
-    let mut index = replay.first_index();
-    while index < replay.next_index() {
-        let count = replay.fill_batch(index, plan.experiment.config.run.rollout as usize, &mut batch);
-        let part = Part::of(&batch);
-        link.teach(&request(plan, round, index, REBUILD, 1), &[&part.header(), part.payload].concat())?;
-        pulse::step();
-        index += count as u64;
-    }
-    let records = agent.annotation_records();
-    let record = record_words(plan.experiment.spec.obs_dim());
-    for chunk in records.chunks(record * MAX_QUERY_ROWS as usize) {
-        let request = request(plan, round, replay.next_index(), RESTORE, chunk.len() / record);
-        link.teach(&request, chunk)?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -8,6 +8,9 @@ pub const MAX_ACTORS: u32 = 64;
 pub const MAX_ROLLOUT: u32 = 4096;
 /// Most features in an observation.
 pub const MAX_OBS_DIM: usize = 4096;
+/// Words of the transitions in one request that gives a mentor-server its history, but for a single one that is larger: a quarter of a
+/// megabyte.
+pub const HISTORY_WORDS: usize = 1 << 16;
 /// Most discrete actions.
 pub const MAX_ACTIONS: usize = 1024;
 /// Most layers' sizes in a network, input and output included.

@@ -82,7 +82,7 @@ pub struct Stats {
     pub feasible: u32,
     /// Infeasible ones with a bridge.
     pub bridged: u32,
-    /// Observer transitions held as history.
+    /// Observer transitions held as history; without bridges only the newest.
     pub stored: u32,
     /// Mean l_feas over those with a bridge; 0 if there is none.
     pub bridge_len_mean: f32,

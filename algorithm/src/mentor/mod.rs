@@ -159,7 +159,8 @@ impl Changed {
 impl Mentor {
     /// A mentor-server for `demo`, which knows nothing yet. `replay` is the capacity of the learner's replay.
     ///
-    /// `algo`: bridges are looked for by `ha-diiqn` alone; `diiqn` takes every mentor transition as feasible.
+    /// `algo`: bridges are looked for by `ha-diiqn` alone; `diiqn` takes every mentor transition as feasible. Without bridges the newest
+    /// transition is kept and no other.
     ///
     /// # Errors
     /// An empty demonstration, one whose states are not the environment's, settings out of range.
@@ -184,7 +185,7 @@ impl Mentor {
         let order = demo.order();
         let count = order.n_transitions();
         let [e_th, e_infeas] = thresholds;
-        let bridging = algo == Algo::HaDiiqn && config.bridges;
+        let bridging = config.seeks_bridges(algo);
         let graph =
             (bridging && config.cross_reference).then(|| Graph::new(Cells::new(e_th, &whitened, dim)));
         Ok(Self {
@@ -197,7 +198,8 @@ impl Mentor {
             similarity: Similarity::new(whitened, dim, e_th),
             table: AnnotationTable::new(count, dim, spec.n_actions()),
             infeasible: count,
-            history: History::new(replay, dim),
+            // Bridges alone lead through older transitions.
+            history: History::new(if bridging { replay } else { 1 }, dim),
             graph,
             changed: Changed { marked: vec![false; count], list: Vec::new() },
             straight: straight::Scratch::default(),

@@ -1,7 +1,7 @@
 //! `[mentor]` and `[shaping]`: demonstration and imitation, and the shaping of `dqn`'s rewards.
 
 use super::accepts::{Accepts, above, any, at_least, between};
-use super::{Demos, Learned, PLAN, Threshold};
+use super::{Algo, Demos, Learned, PLAN, Threshold};
 use crate::limits::MAX_BRIDGE_DEPTH;
 use crate::space::EnvSpec;
 use crate::{choices, settings};
@@ -86,6 +86,13 @@ choices! {
         Kl = "kl",
         /// KL of the changes s' - s, where s_o and s_m are similar; no comparison elsewhere.
         Delta = "delta",
+    }
+}
+
+impl Mentor {
+    /// Whether a run of `algo` looks for bridges among its stored transitions.
+    pub fn seeks_bridges(&self, algo: Algo) -> bool {
+        algo == Algo::HaDiiqn && self.bridges
     }
 }
 

@@ -5,7 +5,7 @@ use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{self, Spaces};
 use trestle_proto::config::Mode;
 use trestle_proto::experiment::Experiment;
-use trestle_proto::limits::{MAX_QUERY_ROWS, TRANSITIONS_BUFFER};
+use trestle_proto::limits::{HISTORY_WORDS, MAX_QUERY_ROWS, TRANSITIONS_BUFFER};
 use trestle_proto::mentor::transition_words;
 use trestle_proto::observe::PART_WORDS;
 
@@ -70,8 +70,10 @@ impl Sizes {
 
     /// Words of the largest request to `mentor/observe`.
     pub(super) fn observe_request_words(&self) -> usize {
+        let history = HISTORY_WORDS.max(PART_WORDS + batch::words(1, self.spaces.row));
         (self.actors * (self.batch_words + PART_WORDS))
             .max(self.annotation_rows() * record_words(self.obs_dim))
+            .max(history)
     }
 
     /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
