@@ -27,7 +27,7 @@ const MAX_MAZES: usize = 24;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "report", "warn");
-    let (runs, mut notes) = read_runs(&args.runs)?;
+    let (runs, mut notes) = read_runs(&args.runs, |config| registry().filled(&config.env.name))?;
     let out = args.out.clone().unwrap_or_else(|| args.runs.join("report"));
     let mut mazes = Vec::new();
     let tasks_found = tasks(&runs);

@@ -15,6 +15,10 @@ pub trait Kind: Environment + Sized + 'static {
     /// What it is, in one line.
     const ABOUT: &'static str;
 
+    /// Settings that nobody chooses: [`Kind::resolve`] fills them in, or they say by what and not what is simulated. Runs that
+    /// differ in them alone have one task.
+    const FILLED: &'static [&'static str] = &[];
+
     /// The environment of resolved settings, not yet reset. `env` has what all environments share.
     ///
     /// # Errors

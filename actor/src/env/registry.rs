@@ -186,6 +186,11 @@ impl Registry {
         self.of(env)?.warnings(env)
     }
 
+    /// Settings of the table `[env.<name>]` that nobody chooses: see [`Kind::FILLED`].
+    pub fn filled(&self, name: &str) -> &'static [&'static str] {
+        self.find(name).map_or(&[], AnyKind::filled)
+    }
+
     /// What all environments say about this machine: see [`Kind::diagnose`].
     pub fn diagnose(&self) -> Vec<Finding> {
         self.entries.iter().flat_map(|entry| entry.kind.diagnose()).collect()
@@ -230,6 +235,7 @@ impl Environments for Registry {
 /// A [`Kind`] whose settings are data.
 trait AnyKind: Send + Sync {
     fn about(&self) -> &'static str;
+    fn filled(&self) -> &'static [&'static str];
     fn declared(&self, key: &str) -> Vec<Setting>;
     fn presets(&self) -> &'static [Preset];
     fn complete(&self, env: &config::Env) -> Result<Table, ConfigError>;
@@ -270,6 +276,10 @@ fn written<S: Field>(settings: &S) -> Result<Table, ConfigError> {
 impl<K: Kind> AnyKind for Typed<K> {
     fn about(&self) -> &'static str {
         K::ABOUT
+    }
+
+    fn filled(&self) -> &'static [&'static str] {
+        K::FILLED
     }
 
     fn declared(&self, key: &str) -> Vec<Setting> {

@@ -1,6 +1,7 @@
 //! Reports: statistics, pictures and a page from the records of any number of runs.
 //!
-//! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves;
+//! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves; `apart` tells apart what one
+//!   name would put together;
 //! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
 //! - [`summary`]: runs grouped by task and arm, with the figures of each group and pair;
 //! - [`over_tasks`]: arms compared over many tasks;
@@ -12,6 +13,7 @@
 //!
 //! Nothing here knows networks or environments: the caller hands in the data for pictures of a maze.
 
+mod apart;
 pub mod curves;
 pub mod effect;
 pub mod film;

@@ -1,5 +1,6 @@
 //! The page: everything in one file, for light and dark screens and for paper.
 
+use crate::apart::settings;
 use crate::effect::Effect;
 use crate::over_tasks::{DOUBT, LOSS, Overview, Ratio};
 use crate::plot::swatch;
@@ -9,7 +10,6 @@ use crate::summary::{ArmSummary, Comparison, Time};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
-use trestle_proto::config::{Config, Table, Value};
 
 /// What a picture is about. The page has these parts in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -251,23 +251,6 @@ fn settings_table(runs: &[Run], names: &[&str]) -> String {
     }
     text.push_str("</table></div>\n");
     text
-}
-
-/// All settings by their dotted keys.
-fn settings(config: &Config) -> BTreeMap<String, String> {
-    let mut found = BTreeMap::new();
-    // Every configuration has a form as TOML.
-    let mut open = vec![(String::new(), Table::try_from(config).unwrap_or_default())];
-    while let Some((above, table)) = open.pop() {
-        for (key, value) in table {
-            let key = if above.is_empty() { key } else { format!("{above}.{key}") };
-            match value {
-                Value::Table(table) => open.push((key, table)),
-                value => _ = found.insert(key, value.to_string()),
-            }
-        }
-    }
-    found
 }
 
 /// The way from the directory `from` to `path`, for a link.

@@ -4,6 +4,7 @@
 //! single run can spoil the others'. Memory does not grow with a run's length: a series that gets longer than
 //! [`MAX_POINTS`] is thinned out to every second point, and so on.
 
+use crate::apart;
 use serde::Deserialize;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -162,6 +163,28 @@ pub struct Run {
 }
 
 impl Run {
+    /// A run of nothing.
+    #[cfg(test)]
+    pub(crate) fn blank(path: &str, arm: &str, task: &str) -> Self {
+        Self {
+            path: path.into(),
+            arm: arm.into(),
+            task: task.into(),
+            group: String::new(),
+            start: None,
+            config: Config::default(),
+            version: String::new(),
+            commit: String::new(),
+            finished: None,
+            result: None,
+            evaluations: Series::default(),
+            training: Series::default(),
+            feasible: Series::default(),
+            bridged: Series::default(),
+            e_kl: Series::default(),
+        }
+    }
+
     /// Its result, if it has run its whole length.
     pub fn complete(&self) -> Option<&RunResult> {
         self.result.as_ref().filter(|result| !result.interrupted)
@@ -172,11 +195,16 @@ impl Run {
 ///
 /// The arm of a run in `<arm>/seed-<N>` below `root` is `<arm>`; of any other run it is the name of its algorithm. The
 /// task is the environment's name, and where runs in several directories above their arms' have the same environment, that
-/// of the directory as well. Runs of a suite, in `<group>/<task>/<arm>/seed-<N>`, have the task `<group>/<task>`.
+/// of the directory as well. Runs of a suite, in `<group>/<task>/<arm>/seed-<N>`, have the task `<group>/<task>`. Where other
+/// settings than seed, length and files differ, the names of tasks and arms say so. `filled` gives the settings of an environment's
+/// own table that nobody chooses.
 ///
 /// # Errors
 /// A directory that cannot be listed, no run at all, or too many of them.
-pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
+pub fn read_runs(
+    root: &Path,
+    filled: impl Fn(&Config) -> &'static [&'static str],
+) -> Result<(Vec<Run>, Vec<String>), ReadError> {
     let (mut paths, mut notes) = (Vec::new(), Vec::new());
     find(root, 0, &mut paths, &mut notes)?;
     if paths.len() > MAX_RUNS {
@@ -197,11 +225,13 @@ pub fn read_runs(root: &Path) -> Result<(Vec<Run>, Vec<String>), ReadError> {
         });
     }
     let mut runs = name_tasks(runs);
+    apart::tell_apart(&mut runs, &mut notes, |run| place(root, &run.path).1.is_none(), filled);
     leave_out_copies(root, &mut runs, &mut notes);
     runs.sort_by(|a, b| {
         let key = |run: &Run| (run.task.clone(), run.arm.clone(), run.config.run.seed, run.path.clone());
         key(a).cmp(&key(b))
     });
+    apart::note_repeated_seeds(&runs, &mut notes);
     Ok((runs, notes))
 }
 
@@ -494,23 +524,8 @@ mod tests {
                 "weights_sha256":"","restarts":0,"interrupted":false}"#;
             let mut result: RunResult = serde_json::from_str(text).unwrap();
             result.weights_sha256 = weights.unwrap_or_default().into();
-            Run {
-                path: path.into(),
-                arm: arm.into(),
-                task: "m".into(),
-                group: String::new(),
-                start,
-                config,
-                version: String::new(),
-                commit: String::new(),
-                finished: None,
-                result: weights.is_some().then_some(result),
-                evaluations: Series::default(),
-                training: Series::default(),
-                feasible: Series::default(),
-                bridged: Series::default(),
-                e_kl: Series::default(),
-            }
+            let result = weights.is_some().then_some(result);
+            Run { start, config, result, ..Run::blank(path, arm, "m") }
         };
         let mut runs = vec![
             run("s/dqn/copy", "dqn", Some(1), Some("aa"), 1),
@@ -541,23 +556,7 @@ mod tests {
 
     #[test]
     fn directories_tell_tasks_of_one_environment_apart() {
-        let run = |task: &str| Run {
-            path: PathBuf::new(),
-            arm: "dqn".into(),
-            task: task.into(),
-            group: String::new(),
-            start: None,
-            config: Config::default(),
-            version: String::new(),
-            commit: String::new(),
-            finished: None,
-            result: None,
-            evaluations: Series::default(),
-            training: Series::default(),
-            feasible: Series::default(),
-            bridged: Series::default(),
-            e_kl: Series::default(),
-        };
+        let run = |task: &str| Run::blank("", "dqn", task);
         let runs = [("hot", "maze"), ("cold", "maze"), ("", "maze"), ("warm", "other"), ("warm", "other")];
         let named = name_tasks(runs.map(|(above, task)| (above.to_string(), run(task))).into());
         let tasks: Vec<&str> = named.iter().map(|run| run.task.as_str()).collect();
@@ -570,11 +569,11 @@ mod tests {
     #[test]
     fn a_directory_without_runs_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        assert!(matches!(read_runs(dir.path()), Err(ReadError::NoRuns { .. })));
-        assert!(matches!(read_runs(&dir.path().join("absent")), Err(ReadError::Io { .. })));
+        assert!(matches!(read_runs(dir.path(), |_| &[]), Err(ReadError::NoRuns { .. })));
+        assert!(matches!(read_runs(&dir.path().join("absent"), |_| &[]), Err(ReadError::Io { .. })));
         let run = dir.path().join("arm/seed-0");
         fs::create_dir_all(&run).unwrap();
         fs::write(run.join("config.toml"), "[run]\nepisodes = 0\n").unwrap();
-        assert!(matches!(read_runs(dir.path()), Err(ReadError::Unreadable { .. })));
+        assert!(matches!(read_runs(dir.path(), |_| &[]), Err(ReadError::Unreadable { .. })));
     }
 }

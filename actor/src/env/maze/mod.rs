@@ -23,6 +23,8 @@ impl Kind for Maze {
 
     const ABOUT: &'static str = "One agent on a map of cells, one cell a step.";
 
+    const FILLED: &'static [&'static str] = &["map_text"];
+
     fn new(settings: &Settings, env: &config::Env) -> Result<Self, EnvError> {
         Self::of(settings, env.step_limit)
     }

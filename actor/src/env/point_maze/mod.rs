@@ -49,6 +49,8 @@ impl Kind for PointMaze {
 
     const ABOUT: &'static str = "A ball with inertia that motors push through a maze of walls.";
 
+    const FILLED: &'static [&'static str] = &["map_text"];
+
     fn new(settings: &Settings, env: &config::Env) -> Result<Self, EnvError> {
         Self::of(settings, env.step_limit)
     }
