@@ -82,8 +82,9 @@ impl Space {
                     .filter(|parts| parts.len() == spaces.len())
                     .ok_or_else(|| wrong("an observation", &format!("a tuple of {}", spaces.len()), obs))?;
                 let mut from = 0;
-                for (space, part) in spaces.iter().zip(parts.iter_borrowed()) {
-                    space.write(&part, &mut out[from..from + space.len()])?;
+                for (place, (space, part)) in spaces.iter().zip(parts.iter_borrowed()).enumerate() {
+                    let written = space.write(&part, &mut out[from..from + space.len()]);
+                    written.map_err(|error| of_part(obs.py(), &place.to_string(), error))?;
                     from += space.len();
                 }
                 Ok(())
@@ -95,13 +96,32 @@ impl Space {
                     let part = parts
                         .get_item(key)?
                         .ok_or_else(|| wrong("an observation", &format!("a dict with the key {key:?}"), obs))?;
-                    space.write(&part, &mut out[from..from + space.len()])?;
+                    let written = space.write(&part, &mut out[from..from + space.len()]);
+                    written.map_err(|error| of_part(obs.py(), key, error))?;
                     from += space.len();
                 }
                 Ok(())
             }
         }
     }
+}
+
+/// How a message names an observation, and a part of one.
+const WHOLE: &str = "an observation";
+const PART: &str = "the part ";
+
+/// `error` of a part of an observation, which is called `key`, with the name of the part.
+fn of_part(py: Python<'_>, key: &str, error: PyErr) -> PyErr {
+    if !error.is_instance_of::<PyValueError>(py) {
+        return error;
+    }
+    let said = error.value(py).to_string();
+    let named = match (said.strip_prefix(PART), said.strip_prefix(WHOLE)) {
+        (Some(below), _) => format!("{PART}{key}.{below}"),
+        (_, Some(rest)) => format!("{PART}{key} of {WHOLE}{rest}"),
+        _ => said,
+    };
+    PyValueError::new_err(named)
 }
 
 /// What is in the place of something else.

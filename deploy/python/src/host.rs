@@ -77,6 +77,9 @@ fn raised(name: &str, doing: &str, error: &PyErr) -> GymError {
         let traceback = error.traceback(py).and_then(|traceback| traceback.format().ok()).unwrap_or_default();
         let lines: Vec<&str> = traceback.lines().collect();
         let kept = &lines[lines.len().saturating_sub(MAX_LINES)..];
+        // Each call whole: its line begins it.
+        let first = kept.iter().position(|line| line.starts_with("  File ")).unwrap_or(0);
+        let kept = &kept[first..];
         let kept = kept.iter().map(|line| line.chars().take(MAX_LINE).collect::<String>());
         let exception: String = error.to_string().chars().take(4 * MAX_LINE).collect();
         // The exception is the last line of the log: that is how a run tells whether it has failed so before.

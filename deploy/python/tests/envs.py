@@ -42,6 +42,26 @@ def line(n: int = 5) -> Line:
     return Line(n)
 
 
+class Named(Line):
+    """Its actions have names, and it can fail in several ways."""
+
+    def __init__(self, fault: str = "none", names: Any = ("back", "forth")) -> None:
+        super().__init__()
+        self.actions, self.fault = names, fault
+        if fault == "making":
+            raise RuntimeError("no motor")
+
+    def step(self, action: Any) -> Any:
+        match self.fault:
+            case "step":
+                raise RuntimeError("a wheel came off")
+            case "four":
+                return super().step(action)[:4]
+            case "reward":
+                return *super().step(action)[:1], None, False, False, {}
+        return super().step(action)
+
+
 class Blind(Line):
     """Takes a mode of rendering, and has none."""
 

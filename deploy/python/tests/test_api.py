@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import pytest
 
 import trestle
 from conftest import SMALL
-from envs import Spaces
+from envs import Line, Named, Spaces
 
 OVERRIDES: dict[str, Any] = {key: (value if not value.startswith("[") else [16]) for key, value in SMALL.items()}
 OVERRIDES = {key: int(value) if isinstance(value, str) and value.isdigit() else value for key, value in OVERRIDES.items()}
@@ -73,6 +74,10 @@ def test_actions_come_in_the_form_of_the_environment(tmp_path: Path, monkeypatch
     assert action.shape == (2,) and gymnasium.spaces.MultiDiscrete([2, 3]).contains(action)
     many = {"a": np.zeros((5, 2), dtype=np.float32), "b": np.array([0, 1, 2, 0, 1])}
     assert policy.predict(many)[0].shape == (5, 2)
+    with pytest.raises(ValueError, match=r"without b; accepted: a dict with the keys a, b; an observation is a dict of \{'a': an array"):
+        policy.predict({"a": np.zeros(2)})
+    with pytest.raises(ValueError, match=r"an observation is array.*accepted: a dict with the keys a, b"):
+        policy.predict(np.zeros(3))
     with pytest.raises(ValueError, match="batches of different lengths"):
         policy.predict({"a": np.zeros((5, 2)), "b": 2})
 
@@ -126,7 +131,10 @@ trestle.train('gym:CartPole-v1', algo='dqn', env_steps=10**8, out=sys.argv[1])
 
 def test_a_demonstration_trains_an_observer(run: trestle.Run, tmp_path: Path) -> None:
     states = tmp_path / "states.csv"
-    assert trestle.record(run.policy(), "CartPole-v1", episodes=3, out=states) == 3
+    # The policy does not reach 475.
+    with pytest.raises(ValueError, match=r"none of 2 episodes has a return of 474\.9.* or more, the best has .*-math\.inf for all"):
+        trestle.record(run.policy(), "CartPole-v1", episodes=2, out=states)
+    assert trestle.record(run.policy(), "CartPole-v1", episodes=3, out=states, least_return=-math.inf) == 3
     lines = states.read_text().splitlines()
     assert lines[0] == "trajectory,terminal,0,1,2,3" and lines[1].startswith("0,0,")
     with pytest.raises(FileExistsError, match="overwrite=True"):
@@ -136,6 +144,53 @@ def test_a_demonstration_trains_an_observer(run: trestle.Run, tmp_path: Path) ->
     overrides = OVERRIDES | {"mentor.demo": str(states)}
     made = trestle.train("gym:CartPole-v1", algo="ha-diiqn", env_steps=600, overrides=overrides, out=tmp_path / "observer")
     assert made.result.everything["mentor_feasible_frac"] is not None
+
+
+class Model:
+    """Acts as a model of Stable-Baselines3 does."""
+
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def predict(self, observation: Any, /, *, deterministic: bool) -> tuple[Any, None]:
+        return 1, None
+
+
+def test_a_recording_needs_the_policy_s_own_environment(run: trestle.Run, tmp_path: Path) -> None:
+    out = tmp_path / "states.csv"
+    with pytest.raises(ValueError, match="observation space is Box"):
+        trestle.record(run.policy(), Line(), out=out)
+    with pytest.raises(ValueError, match=r"actions are Discrete\(2, start=5\); accepted: those of the policy, Discrete\(2\)"):
+        trestle.record(Model(), Line(start=5), out=out)
+    with pytest.warns(UserWarning, match="nothing says which episodes succeed, so all are recorded"):
+        assert trestle.record(Model(), Line(), episodes=2, out=out) == 2
+    assert trestle.record(Model(), Line(), episodes=2, out=out, least_return=0, overwrite=True) == 2
+
+
+def test_other_actions_are_none_of_the_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parent)
+    own = {"env.gym.make": "envs:Named", "eval.threshold": 1.0}
+    policy = trestle.train("gym", algo="dqn", env_steps=300, overrides=OVERRIDES | own, out=tmp_path / "run").policy()
+    assert policy.actions == ["back", "forth"] and policy.least_return == pytest.approx(1.0, abs=1e-5)
+    policy.check_fits(Named())
+    with pytest.raises(ValueError, match="the environment's actions are 0, 1; accepted: those of the policy, back, forth"):
+        trestle.record(policy, Line(), out=tmp_path / "states.csv")
+
+
+def test_a_run_finds_its_modules_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = (Path(__file__).parent / "envs.py").read_text()
+    (tmp_path / "only_here.py").write_text(source)
+    own = {"env.gym.make": "only_here:Line", "eval.threshold": 1.0}
+    made = trestle.train("gym", algo="dqn", env_steps=300, overrides=OVERRIDES | own, out=tmp_path / "run")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    command = [sys.executable, "-m", "trestle", "eval", str(made.path)]
+    assert subprocess.run(command, cwd=elsewhere, check=False, stdout=subprocess.DEVNULL).returncode == 0
+
+
+def test_an_environment_goes_by_its_name() -> None:
+    with pytest.raises(TypeError, match=r'accepted: a preset.*"env\.gym\.make": "my_module:MyEnv"'):
+        trestle.train(Line())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("id", ["CartPole-v1", "FrozenLake-v1"])

@@ -60,6 +60,28 @@ def test_actions_of_every_space_are_enumerated(trestle: Trestle, action: str, ow
     assert f"actions {names}\n" in check(trestle, make="envs:Spaces", kwargs=f"{{action='{action}'}}", **own)
 
 
+@pytest.mark.parametrize("names", ["['back', 'forth']", "['one']", "[1, 2]"])
+def test_a_list_of_names_names_the_actions(trestle: Trestle, names: str) -> None:
+    expected = "back forth" if "back" in names else "0 1"
+    assert f"actions {expected}\n" in check(trestle, make="envs:Named", kwargs=f"{{names={names}}}")
+
+
+@pytest.mark.parametrize(
+    ("fault", "first"),
+    [
+        ("making", "error: envs:Named raised RuntimeError: no motor"),
+        ("step", "error: envs:Named raised RuntimeError: a wheel came off"),
+        ("four", "error: envs:Named: step returned tuple of 4; accepted: (observation, reward,"),
+        ("reward", "error: envs:Named: a reward is None (NoneType); accepted: a number"),
+    ],
+)
+def test_what_it_raises_before_the_run_is_told_first(trestle: Trestle, fault: str, first: str) -> None:
+    said = check(trestle, ok=False, make="envs:Named", kwargs=f"{{fault='{fault}'}}").splitlines()
+    assert said[0].startswith(first), said
+    # Every call that is shown is whole.
+    assert all(line.startswith(("  File ", "    ")) for line in said[1:] if line), said
+
+
 @pytest.mark.parametrize(
     ("own", "words"),
     [
@@ -77,12 +99,15 @@ def test_actions_of_every_space_are_enumerated(trestle: Trestle, action: str, ow
         ({"make": "envs:Gone"}, ["env.gym.make = envs:Gone", "accepted: a name in envs"]),
         ({"make": "gone:Gone"}, ["env.gym.make = gone:Gone", "accepted: a module that"]),
         ({"make": "envs"}, ["env.gym.make = envs; accepted: module:name"]),
-        ({"make": "envs:Line", "kwargs": "{speed=1}"}, ["envs:Line: ", "unexpected keyword argument 'speed'"]),
+        ({"make": "envs:Line", "kwargs": "{speed=1}"}, ["envs:Line raised TypeError: ", "unexpected keyword argument 'speed'"]),
         (
             {"make": "envs:Moody"},
             ["envs:Moody is not deterministic: with the same seed and actions the observation after 0 steps differs"],
         ),
-        ({"id": "No-Such-v0"}, ["env.gym.id = No-Such-v0", "accepted: an id that Gymnasium has"]),
+        (
+            {"id": "No-Such-v0"},
+            ["env.gym.id = No-Such-v0: no environment is registered as No-Such-v0", "accepted: an id that Gymnasium has"],
+        ),
         ({"id": "envs:Line"}, ["env.gym.id = envs:Line", "for a class or a function env.gym.make = module:name"]),
         ({"make": "os:getcwd"}, ["os:getcwd is str without `reset`"]),
     ],

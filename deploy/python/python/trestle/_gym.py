@@ -6,6 +6,7 @@ import importlib
 import itertools
 import json
 import math
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -35,13 +36,25 @@ def name_of(settings: Settings) -> str:
     return str(settings["id"] or settings["make"])
 
 
+def _search(directory: str | None) -> None:
+    """Modules are looked for in the ``directory`` where the run was started, and as with `python -m` in the working directory."""
+    for path in ("", directory):
+        if path is not None and path not in sys.path:
+            sys.path.insert(0, path)
+
+
+def _here() -> str | None:
+    """The working directory, if it is still there."""
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return None
+
+
 def _attribute(path: str, key: str) -> Any:
     module, _, name = path.partition(":")
     if not module or not name:
         raise Refused(f"{key} = {path}; accepted: module:name")
-    # As with `python -m`, the working directory counts.
-    if "" not in sys.path:
-        sys.path.insert(0, "")
     try:
         found = importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -54,21 +67,28 @@ def _attribute(path: str, key: str) -> Any:
     return found
 
 
-def make(settings: Settings) -> gymnasium.Env[Any, Any]:
-    """Make the environment of ``settings``, in its wrappers."""
+def make(settings: Settings, directory: str | None = None) -> gymnasium.Env[Any, Any]:
+    """Make the environment of ``settings``, in its wrappers. Its modules may lie in ``directory``."""
+    _search(directory)
     kwargs = dict(settings["kwargs"])
     env: gymnasium.Env[Any, Any]
     if settings["make"]:
         env = _attribute(settings["make"], "env.gym.make")(**kwargs)
     else:
-        if "" not in sys.path:
-            sys.path.insert(0, "")
         kwargs.setdefault("disable_env_checker", True)
         try:
             env = gymnasium.make(settings["id"], **kwargs)
         except gymnasium.error.Error as error:
-            accepted = "an id that Gymnasium has, or for a class or a function env.gym.make = module:name"
-            raise Refused(f"env.gym.id = {settings['id']}: {error}; accepted: {accepted}") from error
+            said = str(error)
+            # Gymnasium leaves the version out where there is no version at all.
+            name = settings["id"].rpartition(":")[2]
+            if name not in said:
+                said = f"no environment is registered as {name}: {said}"
+            accepted = (
+                "an id that Gymnasium has, package:Name-v0 for one that the package registers with gymnasium.register, "
+                "or for a class or a function env.gym.make = module:name"
+            )
+            raise Refused(f"env.gym.id = {settings['id']}: {said.rstrip('.')}; accepted: {accepted}") from error
         except ModuleNotFoundError as error:
             raise Refused(f"env.gym.id = {settings['id']}: {error}") from error
     for wrapper in settings["wrappers"]:
@@ -283,13 +303,26 @@ def _meanings(env: gymnasium.Env[Any, Any], values: list[int]) -> list[str]:
     try:
         if callable(meanings := getattr(bare, "get_action_meanings", None)):
             names = [str(name) for name in meanings()]
+        elif isinstance(actions := getattr(bare, "actions", ()), (list, tuple)):
+            names = [name for name in actions if isinstance(name, str)]
         else:
-            kinds = {int(kind): str(kind.name) for kind in getattr(bare, "actions", ())}
+            kinds = {int(kind): str(kind.name) for kind in actions}
             names = [kinds[value] for value in values]
     except Exception:
         # An attribute of this name that is something else.
         return numbers
     return names if len(names) == len(values) and len(set(names)) == len(names) else numbers
+
+
+def check_fits(env: gymnasium.Env[Any, Any], settings: Settings, found: dict[str, Any]) -> None:
+    """Refuse an ``env`` that has other observations or actions than a run with ``settings`` has ``found``."""
+    layout = _Parts(env.observation_space, picked=bool(settings["features"])).layout
+    if layout != found["space"]:
+        raise Refused(f"the environment's observation space is {_shown(env.observation_space)}; accepted: that of the policy's run")
+    own, expected = _actions(env, settings), found["actions"]
+    if own != expected:
+        shown = [", ".join(actions["names"][:30]) for actions in (own, expected)]
+        raise Refused(f"the environment's actions are {shown[0]}; accepted: those of the policy, {shown[1]}")
 
 
 def _values(actions: dict[str, Any]) -> list[Any]:
@@ -302,7 +335,7 @@ def _values(actions: dict[str, Any]) -> list[Any]:
 def make_found(settings_json: str, found_json: str) -> tuple[gymnasium.Env[Any, Any], list[Any]]:
     """The environment of a run that has found it before, and what it gets for each action."""
     settings, found = json.loads(settings_json), json.loads(found_json)
-    env = make(settings)
+    env = make(settings, found.get("directory"))
     layout = _Parts(env.observation_space, picked=bool(settings["features"])).layout
     if layout != found["space"]:
         raise Refused(f"the observation space is {_shown(env.observation_space)}, but the run has found another one before")
@@ -326,18 +359,18 @@ def frame(env: gymnasium.Env[Any, Any]) -> tuple[int, int, bytes] | None:
 
 
 def _episode(
-    env: gymnasium.Env[Any, Any], flat: Callable[[Any], list[float]], values: list[Any], seed: int, steps: int
+    env: gymnasium.Env[Any, Any], flat: Callable[[Any], list[float]], values: list[Any], seed: int, steps: int, name: str
 ) -> Iterator[tuple[list[float], float, bool]]:
-    """Features, rewards and ends of an episode with random actions that depend on ``seed`` alone."""
+    """Features, rewards and ends of an episode with random actions that depend on ``seed`` alone. ``name`` is for messages."""
     choice = np.random.Generator(np.random.PCG64(seed))
-    obs, _ = _pair(env.reset(seed=seed))
+    obs, _ = _pair(env.reset(seed=seed), name)
     yield flat(obs), 0.0, False
     for _ in range(steps):
         action = values[choice.integers(len(values))]
         answer = env.step(action.copy() if isinstance(action, np.ndarray) else action)
         if not isinstance(answer, tuple) or len(answer) != 5:
             raise Refused(
-                f"step returned {type(answer).__name__}"
+                f"{name}: step returned {type(answer).__name__}"
                 + (f" of {len(answer)}" if isinstance(answer, tuple) else "")
                 + "; accepted: (observation, reward, terminated, truncated, info)"
             )
@@ -345,16 +378,16 @@ def _episode(
         try:
             reward = float(reward)
         except (TypeError, ValueError) as error:
-            raise Refused(f"a reward is {reward!r}; accepted: a number") from error
+            raise Refused(f"{name}: a reward is {reward!r} ({type(reward).__name__}); accepted: a number") from error
         over = bool(terminated) or bool(truncated)
         yield flat(obs), reward, over
         if over:
             return
 
 
-def _pair(answer: Any) -> tuple[Any, Any]:
+def _pair(answer: Any, name: str) -> tuple[Any, Any]:
     if not isinstance(answer, tuple) or len(answer) != 2:
-        raise Refused(f"reset returned {type(answer).__name__}; accepted: (observation, info)")
+        raise Refused(f"{name}: reset returned {type(answer).__name__}; accepted: (observation, info)")
     return answer
 
 
@@ -398,16 +431,16 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
     # Seeds that all environments take.
     seed = seed % 2**31
     compared = min(_COMPARED, step_limit)
-    first = list(_episode(env, flat, values, seed, compared))
-    list(_episode(env, flat, values, (seed + 1) % 2**31, 10))
-    difference = _difference(first, list(_episode(env, flat, values, seed, compared)), "from one episode to the other")
-    seen = _warm_up(env, flat, values, seed, settings["warmup_steps"], step_limit)
+    first = list(_episode(env, flat, values, seed, compared, name))
+    list(_episode(env, flat, values, (seed + 1) % 2**31, 10, name))
+    difference = _difference(first, list(_episode(env, flat, values, seed, compared, name)), "from one episode to the other")
+    seen = _warm_up(env, flat, values, seed, settings["warmup_steps"], step_limit, name)
     spec = getattr(env, "spec", None)
     threshold = getattr(spec, "reward_threshold", None)
     env.close()
     if difference is None:
         again = make(settings)
-        difference = _difference(first, list(_episode(again, flat, values, seed, compared)), "from one instance to the other")
+        difference = _difference(first, list(_episode(again, flat, values, seed, compared, name)), "from one instance to the other")
         again.close()
 
     bounds, ranges, steps, warnings = _scales(parts, places, scale, seen)
@@ -424,6 +457,7 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
         "python": platform.python_version(),
         "gymnasium": gymnasium.__version__,
         "name": name,
+        "directory": _here(),
         "space": parts.layout,
         "features": {
             "names": [parts.names[i] for i in places],
@@ -450,12 +484,13 @@ def _warm_up(
     seed: int,
     steps: int,
     step_limit: int,
+    name: str,
 ) -> list[np.ndarray[Any, Any]]:
     """Episodes of random steps, ``[steps + 1][features]`` each, of ``steps`` steps together."""
     episodes: list[np.ndarray[Any, Any]] = []
     while steps > 0:
         seed = (seed + 1) % 2**31
-        states = [features for features, _, _ in _episode(env, flat, values, seed, min(steps, step_limit))]
+        states = [features for features, _, _ in _episode(env, flat, values, seed, min(steps, step_limit), name)]
         episodes.append(np.array(states))
         # An episode may be over before its first step; a warm-up of such episodes ends all the same.
         steps -= max(len(states) - 1, 1)

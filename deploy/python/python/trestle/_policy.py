@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,19 +37,46 @@ class Policy:
         self._network = network
         self._epsilon = float(config["exploration"]["epsilon_end"])
         self._random = np.random.default_rng(config["run"]["seed"])
-        found = json.loads(network.settings()).get("found") if network.env == "gym" else None
+        settings = json.loads(network.settings())
+        found = settings.get("found") if network.env == "gym" else None
+        self._settings: dict[str, Any] = settings
+        self._found: dict[str, Any] | None = None
+        threshold, tolerance = config["eval"].get("threshold"), float(config["eval"]["tolerance"])
+        self._step_limit = int(config["env"]["step_limit"])
         if found is None:
             self._layout: dict[str, Any] = {"kind": "box", "shape": [network.features]}
             self._places = list(range(network.features))
             self._values: list[Any] = list(range(len(network.actions)))
         else:
-            found = json.loads(found)
+            self._found = found = json.loads(found)
+            threshold = found["threshold"] if threshold is None else threshold
             self._layout, self._places = found["space"], found["features"]["places"]
             actions = found["actions"]
             self._values = _gym._values(actions)
+        # A sum of rewards may fall short by its rounding.
+        self._least = None if threshold is None else threshold - tolerance - 1e-6 * max(1.0, abs(threshold))
 
     def __repr__(self) -> str:
         return f"Policy(checkpoint={self.checkpoint}, features={len(self._places)}, actions={self.actions})"
+
+    @property
+    def least_return(self) -> float | None:
+        """The return from which on an episode succeeds in the policy's run; None where nothing says it."""
+        return self._least
+
+    @property
+    def step_limit(self) -> int:
+        """Steps after which its run cuts an episode off."""
+        return self._step_limit
+
+    def check_fits(self, env: gymnasium.Env[Any, Any]) -> None:
+        """Refuse an environment with other observations or actions than those of the policy's run.
+
+        Raises:
+            ValueError: ``env`` has others.
+        """
+        if self._found is not None:
+            _gym.check_fits(env, self._settings, self._found)
 
     @property
     def checkpoint(self) -> int:

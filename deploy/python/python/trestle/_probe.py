@@ -12,8 +12,8 @@ from typing import Any
 from . import _trestle
 from ._refused import Refused
 
-#: Lines of a traceback that the answer shows, from its end.
-_MAX_LINES = 8
+#: Calls of a traceback that the answer shows, the last ones.
+_MAX_CALLS = 3
 
 
 def probe() -> int:
@@ -37,6 +37,13 @@ def _leave_with_parent() -> None:
     os._exit(1)
 
 
+def _told(error: BaseException) -> str:
+    """The exception, and then where it came from: the last calls, each whole."""
+    said = "".join(traceback.format_exception_only(error)).strip()
+    calls = traceback.format_tb(error.__traceback__)[-_MAX_CALLS:]
+    return "\n".join([said, *(call.rstrip() for call in calls)])
+
+
 def _answer(question: dict[str, Any]) -> dict[str, Any]:
     if (question["version"], question["build"]) != (_trestle.VERSION, _trestle.BUILD):
         return {"other": {"version": _trestle.VERSION, "build": _trestle.BUILD}}
@@ -49,5 +56,4 @@ def _answer(question: dict[str, Any]) -> dict[str, Any]:
     except Refused as error:
         return {"refused": str(error)}
     except Exception as error:
-        lines = "".join(traceback.format_exception(error)).rstrip().splitlines()
-        return {"refused": f"{_gym.name_of(question['settings'])}: " + "\n".join(lines[-_MAX_LINES:])}
+        return {"refused": f"{_gym.name_of(question['settings'])} raised {_told(error)}"}

@@ -178,7 +178,7 @@ def train(
 
     Args:
         config: a preset, a TOML file, or ``gym:ID`` for an environment of Gymnasium's.
-        algo: the algorithm, such as ``"dqn"`` or ``"ha-diiqn"``; that of the configuration if None.
+        algo: the algorithm, such as ``"trestle"``, which is recommended, or ``"dqn"``; that of the configuration if None.
         seed: seed of every random stream, 0 to 2^63 - 1.
         episodes: finished episodes at which the run ends.
         env_steps: environment steps of all actors at which the run ends; whichever limit comes first.
@@ -198,6 +198,11 @@ def train(
         TrainingError: it was refused or failed. The message names the setting, the value and the accepted values.
         KeyboardInterrupt: Ctrl-C; the run has been saved.
     """
+    if not isinstance(config, (str, os.PathLike)):
+        raise TypeError(
+            f"config is {config!r} ({type(config).__name__}); accepted: a preset, a TOML file, or gym:ID; a class or a function of "
+            'yours goes by its name, as in trestle.train("gym", overrides={"env.gym.make": "my_module:MyEnv"})'
+        )
     name = os.fspath(config)
     if out is None:
         stem = Path(name).stem.replace(":", "-") if not name.startswith("gym:") else name.replace(":", "-").replace("/", "-")
@@ -235,7 +240,10 @@ def _toml(value: Any) -> str:
             return "{ " + ", ".join(f"{json.dumps(str(key))} = {_toml(each)}" for key, each in value.items()) + " }"
         case list() | tuple() | np.ndarray():
             return "[" + ", ".join(_toml(each) for each in value) + "]"
-    raise TypeError(f"an override is {value!r}; accepted: booleans, numbers, texts, lists and dicts of them")
+    raise TypeError(
+        f"an override is {value!r}; accepted: booleans, numbers, texts, lists and dicts of them; a class or a function goes by its "
+        'name, "module:name"'
+    )
 
 
 def _carry_out(args: list[str], path: Path, callback: Callable[[Progress], object] | None, quiet: bool) -> None:
