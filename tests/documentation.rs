@@ -151,7 +151,8 @@ fn refusals_are_quoted_as_they_are_said() {
     let newer = Kind { version: PLAN_KIND.version + 1, ..PLAN_KIND };
     let newer = RunPlan::decode(&codec::encode(newer, &()).unwrap()).unwrap_err().to_string();
     let formats = format!("accepted: 4 to {}", checkpoint::FORMAT);
-    assert!(page("versions.md").contains(&newer) && page("versions.md").contains(&formats), "{newer} {formats}");
+    let versions = page("versions.md");
+    assert!(versions.contains(&newer) && versions.contains(&formats), "{newer} {formats}");
     said(newer);
     said(formats);
 }
