@@ -13,6 +13,8 @@ pub(crate) struct BuildInfo {
     version: &'static str,
     /// Commit of the sources, if they were built in a checkout.
     commit: Option<&'static str>,
+    /// The sources themselves; all hosts of a run must have the same.
+    sources: &'static str,
     profile: &'static str,
     target: String,
     /// Instruction set that the kernels use on this machine, and all that they could use.
@@ -30,6 +32,7 @@ impl BuildInfo {
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: option_env!("TRESTLE_COMMIT"),
+            sources: BUILD,
             profile: if cfg!(debug_assertions) { "dev" } else { "release" },
             target: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             isa: trestle_qnet::Isa::detect().to_string(),

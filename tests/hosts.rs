@@ -2,8 +2,8 @@
 //! reorders its records, and can be cut. `deploy/relay/tests` has the same with Zenoh, between hosts that share nothing.
 
 use crate::util::{
-    LIMIT, Place, Process, TRESTLE, Trace, assert_gone, counted, free_port, newest_checkpoint, process,
-    processes, result, send, start_command, wait_until,
+    LIMIT, Place, Process, TRESTLE, Trace, assert_gone, counted, free_port, metrics, newest_checkpoint,
+    process, processes, result, send, start_command, wait_until,
 };
 use nix::sys::signal::Signal;
 use std::collections::BTreeMap;
@@ -13,8 +13,15 @@ use std::io::{Read, Write, stdin};
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::thread;
+use trestle::BUILD;
+use trestle_hosts::RelayError;
+use trestle_hosts::joined::{self, Options};
+use trestle_hosts::message::Hello;
+use trestle_hosts::wire::Program;
+use trestle_proto::hosts_file::{self, HostState};
 use trestle_proto::rundir::RunDir;
 
 /// The stand-in's orders, in its environment: the percentage of records that it loses, the file that cuts it while it is
@@ -152,14 +159,23 @@ fn under_way(hosts: &Hosts, more: &[&str]) -> (Process, Process) {
 
 #[test]
 fn what_dies_on_either_host_changes_nothing_in_lockstep() {
-    for victim in ["actor", "relay of the joined host", "relay of the head", "the joined host", "the network"]
-    {
+    for victim in [
+        "actor",
+        "relay of the joined host",
+        "carrier of the joined host",
+        "relay of the head",
+        "carrier of the head",
+        "the joined host",
+        "the network",
+    ] {
         let hosts = Hosts::new(0);
         let (mut head, mut joined) = under_way(&hosts, &[]);
         let away = hosts.away(1);
         match victim {
             "actor" => send(process(&away, "actor-1").unwrap(), Signal::SIGKILL),
             "relay of the joined host" => send(process(&away, "relay").unwrap(), Signal::SIGKILL),
+            "carrier of the joined host" => send(carrier(&away), Signal::SIGKILL),
+            "carrier of the head" => send(carrier(hosts.dir().root()), Signal::SIGKILL),
             "relay of the head" => send(process(hosts.dir().root(), "relay").unwrap(), Signal::SIGKILL),
             "the joined host" => {
                 let all = processes(&away);
@@ -177,6 +193,13 @@ fn what_dies_on_either_host_changes_nothing_in_lockstep() {
         hosts.ends_as(head, vec![joined], &on_one_host(&["--set", "checkpoint.every_env_steps=500"]));
         assert!(result(&hosts.dir()).restarts > 0, "{victim}");
     }
+}
+
+/// The stand-in that the relay of the run in `dir` has started.
+fn carrier(dir: &Path) -> u32 {
+    let relay = process(dir, "relay").unwrap();
+    let children = fs::read_to_string(format!("/proc/{relay}/task/{relay}/children")).unwrap();
+    children.split_whitespace().next().unwrap().parse().unwrap()
 }
 
 fn head_has_lost(dir: &RunDir) -> bool {
@@ -200,7 +223,14 @@ fn free_mode_goes_on_without_a_host_and_counts_each_step_once() {
     let rows = counted(&dir);
     assert_eq!(rows.iter().map(|row| row.env_steps).sum::<u64>(), 30_000, "{rows:?}");
     assert!(rows.iter().any(|row| row.actor > 0 && row.env_steps > 0), "{rows:?}");
+    assert!(rows.iter().all(|row| row.host == if row.actor == 0 { "" } else { "b" }), "{rows:?}");
     assert_eq!(result(&dir).restarts, 0, "nothing of the run itself is started again");
+    // It was there twice.
+    let hosts = hosts_file::of_csv(&fs::read_to_string(dir.hosts()).unwrap());
+    assert!(hosts.len() >= 2 && hosts.iter().all(|row| row.host == "b"), "{hosts:?}");
+    assert!(hosts.iter().any(|row| row.state == HostState::Left && row.bytes_sent > 0), "{hosts:?}");
+    let told = metrics(&dir);
+    assert!(told.iter().any(|row| row.get("hosts/b/bytes_received").is_some()), "{told:?}");
 }
 
 #[test]
@@ -258,6 +288,52 @@ fn a_host_for_which_there_is_no_place_waits_and_leaves_when_it_is_told_to() {
     head.finish().code(130);
     assert_gone(&dir);
     // The head has told it.
+    joined.finish().ok();
+}
+
+#[test]
+fn a_host_that_waits_for_a_place_leaves_with_the_run() {
+    let hosts = Hosts::new(0);
+    let slow = ["--set", "env.hazard.kind=slow", "--set", "env.hazard.after=1"];
+    let args = [&["maze-small", "--actors", "1", "--env-steps", "12000"], &slow[..]].concat();
+    let mut head = hosts.head(&args, 1);
+    let joined = hosts.join("b", 1);
+    let dir = hosts.dir();
+    head.wait_for("training", || fs::metadata(dir.metrics()).is_ok_and(|file| file.len() > 0));
+    let late = hosts.join("c", 1);
+    head.wait_for("the other host", || late.stderr_so_far().contains("waiting: all 1 places"));
+    for host in [head, joined, late] {
+        host.finish().ok();
+    }
+    assert_gone(&dir);
+}
+
+#[test]
+fn a_host_with_another_program_is_refused_and_both_sides_say_why() {
+    let hosts = Hosts::new(0);
+    let mut head = hosts.head(&["maze-small", "--actors", "1", "--env-steps", "3000"], 1);
+    // The code of a joined host's relay, under the name of another build.
+    let mut program = Command::new(&hosts.program);
+    program.args(["connect", &hosts.url, "7"]);
+    let mut wire = Program::start(program).unwrap();
+    let options = Options {
+        hello: Hello { build: "0123456789abcdef".into(), name: "stranger".into(), actors: 1 },
+        silence: LIMIT,
+        patience: LIMIT,
+    };
+    let refused = joined::join(&mut wire, &options, &|| false, &mut |_| {}).err();
+    let expected = format!(
+        "its program was built from other sources (0123456789abcdef) than the run's ({BUILD}); accepted: the same program on all hosts"
+    );
+    assert!(matches!(&refused, Some(RelayError::Refused(reason)) if *reason == expected), "{refused:?}");
+    let said = format!("host stranger is refused: {expected}");
+    head.wait_for("the refusal", || {
+        fs::read_to_string(hosts.dir().log("supervisor")).is_ok_and(|log| log.contains(&said))
+    });
+    drop(wire);
+    // The run waits for one that may join.
+    let joined = hosts.join("b", 1);
+    head.finish().ok();
     joined.finish().ok();
 }
 

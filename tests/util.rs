@@ -421,6 +421,8 @@ pub(crate) struct Counted {
     pub(crate) incarnation: u32,
     pub(crate) batches: u64,
     pub(crate) env_steps: u64,
+    /// Of its host, where that is not the learner's.
+    pub(crate) host: String,
 }
 
 /// The rows of `actors.csv`, none where there is none.
@@ -433,6 +435,7 @@ pub(crate) fn counted(dir: &RunDir) -> Vec<Counted> {
             incarnation: fields[1].parse().unwrap(),
             batches: fields[2].parse().unwrap(),
             env_steps: fields[3].parse().unwrap(),
+            host: fields[6].into(),
         }
     };
     text.lines().skip(1).map(row).collect()

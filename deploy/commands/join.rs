@@ -6,9 +6,8 @@ use crate::status::{ExitCode, INTERRUPTED};
 use crate::supervise::{self, HeldSignals, Parted};
 use anyhow::{Result, ensure};
 use std::fs;
-use trestle_hosts::limits::MAX_NAME;
-use trestle_hosts::message::{is_name, is_plain};
 use trestle_link::logging;
+use trestle_proto::hosts_file::{MAX_NAME, is_name, is_plain};
 
 pub(super) fn run(args: &Join) -> Result<ExitCode> {
     logging::init(0, "join", "warn");

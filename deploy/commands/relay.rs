@@ -7,15 +7,16 @@ use crate::cli::RelayRole;
 use crate::output::say;
 use crate::prepare::draw;
 use crate::status::{ExitCode, LOST_HOST, LOST_PEER, TOLD};
-use crate::supervise::{FAREWELL, GRANTED};
+use crate::supervise::{FAREWELL, GRANTED, HOST};
 use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::io::{Write, stdout};
 use std::path::Path;
 use std::time::Duration;
-use trestle_hosts::joined::{self, Ended};
+use trestle_hosts::head::News;
+use trestle_hosts::joined::{self, Answer, Ended};
 use trestle_hosts::message::{Grant, Hello};
-use trestle_hosts::wire::Program;
+use trestle_hosts::wire::{Program, WireError};
 use trestle_hosts::{RelayError, head};
 use trestle_learner::checkpoint;
 use trestle_proto::config::Mode;
@@ -31,6 +32,17 @@ fn tell(line: &str) {
     let mut out = stdout().lock();
     let _ = writeln!(out, "{}", line.replace('\n', " "));
     let _ = out.flush();
+}
+
+/// News for the supervisor.
+fn tell_news(news: News<'_>) {
+    match news {
+        News::Words(text) => tell(text),
+        News::Host(row) => match serde_json::to_string(&row) {
+            Ok(row) => tell(&format!("{HOST}{row}")),
+            Err(error) => tracing::warn!("{error}"),
+        },
+    }
 }
 
 pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
@@ -51,7 +63,7 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
                 replacements: *replacements,
                 files: files(&start.dir, plan)?,
             };
-            ended(head::run(&mut wire, plan, &options, &start.stop(), &mut tell).map(|()| TOLD))
+            ended(head::run(&mut wire, plan, &options, &start.stop(), &mut tell_news).map(|()| TOLD))
         }
         RelayRole::Joined { role, url, identity, actors, name, network, wait } => {
             let dir = RunDir::new(&role.run);
@@ -68,8 +80,12 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
             };
             let stop = ordered.stop();
             let (mut joined, grant) = match joined::join(&mut wire, &options, &stop, &mut tell) {
-                Ok(Some(joined)) => joined,
-                Ok(None) => return Ok(ExitCode::from(TOLD)),
+                Ok(Answer::In(joined, grant)) => (joined, grant),
+                Ok(Answer::Over(reason)) => {
+                    tell(&reason);
+                    return Ok(ExitCode::SUCCESS);
+                }
+                Ok(Answer::Told) => return Ok(ExitCode::from(TOLD)),
                 Err(error) => return ended(Err(error)),
             };
             let plan = RunPlan::decode(&grant.plan)?;
@@ -79,9 +95,10 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
             tell(&format!("{GRANTED}{}", seats.join(" ")));
             let reason =
                 || fs::read_to_string(dir.root().join(FAREWELL)).unwrap_or_else(|_| "told to leave".into());
-            let end = match joined.idle(&mut wire, &ordered.go(), &stop, &reason)? {
-                Some(end) => end,
-                None => {
+            let end = match joined.idle(&mut wire, &ordered.go(), &stop, &reason) {
+                Err(error) => return ended(Err(error)),
+                Ok(Some(end)) => end,
+                Ok(None) => {
                     let actors: Vec<u32> = grant.seats.iter().map(|seat| seat.actor).collect();
                     match joined.serve(&mut wire, &here, plan.life.run, &actors, &stop, &reason) {
                         Ok(end) => end,
@@ -110,6 +127,11 @@ fn ended(result: Result<u8, RelayError>) -> Result<ExitCode> {
             Ok(ExitCode::from(LOST_HOST))
         }
         Err(RelayError::Link(error)) if error.is_lost_peer() => {
+            say(&format!("error: {error}"));
+            Ok(ExitCode::from(LOST_PEER))
+        }
+        // Another one may do better.
+        Err(RelayError::Wire(error @ WireError::Gone)) => {
             say(&format!("error: {error}"));
             Ok(ExitCode::from(LOST_PEER))
         }

@@ -14,7 +14,7 @@ use crate::carrier::Listening;
 use crate::itself;
 use anyhow::{Context, Result, bail, ensure};
 use rustix::rand::{GetRandomFlags, getrandom};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::fs::{self, DirBuilder};
 use std::io::{ErrorKind, Write};
 use std::os::unix::fs::DirBuilderExt;
@@ -25,6 +25,7 @@ use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
 use trestle_proto::experiment::Experiment;
+use trestle_proto::hosts_file::{self, HostRow, HostState};
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::regular_file;
 use trestle_proto::round::Round;
@@ -71,6 +72,8 @@ pub(crate) struct Prepared {
     fence: Fence,
     /// How other hosts join, if they do.
     listening: Option<Listening>,
+    /// The rows of `hosts.csv`.
+    hosts: RefCell<Vec<HostRow>>,
 }
 
 impl Resolved {
@@ -163,8 +166,18 @@ impl Resolved {
             })?,
         };
         drop(former);
-        let began = Cell::new(false);
-        let prepared = Prepared { dir, plan, fresh, made, replaced, began, from, fence, listening: None };
+        let prepared = Prepared {
+            dir,
+            plan,
+            fresh,
+            made,
+            replaced,
+            began: Cell::new(false),
+            from,
+            fence,
+            listening: None,
+            hosts: RefCell::default(),
+        };
         prepared.write(&self)?;
         prepared.from.iter().for_each(|from| prepared.note(from));
         Ok(prepared)
@@ -324,6 +337,35 @@ impl Prepared {
         }
     }
 
+    /// Takes what the relay tells of another host, `row` as JSON, over into `hosts.csv`.
+    pub(crate) fn tell_host(&self, row: &str) {
+        match serde_json::from_str(row) {
+            Ok(row) => hosts_file::update(&mut self.hosts.borrow_mut(), row),
+            Err(error) => {
+                return tracing::warn!("the relay told of a host what cannot be read ({error}): {row}");
+            }
+        }
+        self.write_hosts();
+    }
+
+    /// Another relay takes the place of the former one, and with that all hosts are lost that had joined.
+    pub(crate) fn lose_hosts(&self) {
+        let mut lost = false;
+        for row in self.hosts.borrow_mut().iter_mut().filter(|row| row.state == HostState::Joined) {
+            (row.state, lost) = (HostState::Lost, true);
+        }
+        if lost {
+            self.write_hosts();
+        }
+    }
+
+    fn write_hosts(&self) {
+        let (path, text) = (self.dir.hosts(), hosts_file::to_csv(&self.hosts.borrow()));
+        if let Err(error) = write_atomically(&path, Durable::Later, |file| file.write_all(text.as_bytes())) {
+            tracing::warn!("cannot write {}: {error}", path.display());
+        }
+    }
+
     /// Makes the directory what it was before this start.
     fn give_up(&self) -> Result<()> {
         let root = self.dir.root();
@@ -349,6 +391,13 @@ impl Prepared {
     fn write(&self, resolved: &Resolved) -> Result<()> {
         let dir = &self.dir;
         fs::create_dir_all(dir.logs()).with_context(|| format!("cannot make {}", dir.logs().display()))?;
+        // It tells of the hosts since the newest start.
+        match fs::remove_file(dir.hosts()) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(error).with_context(|| format!("cannot remove {}", dir.hosts().display()));
+            }
+            _ => {}
+        }
         save(&dir.config(), config::to_toml(&resolved.config).as_bytes())?;
         let command: Vec<String> = itself::args().iter().map(|arg| quoted(&arg.to_string_lossy())).collect();
         let former = if self.fresh { String::new() } else { former_commands(dir) };

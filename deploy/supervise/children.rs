@@ -186,6 +186,7 @@ pub(super) fn start(
         Role::Learner => vec!["learner".into()],
         Role::MentorServer => vec!["mentor-server".into()],
         Role::Relay => {
+            prepared.lose_hosts();
             prepared.listening().map(|listening| head(listening, replacements)).unwrap_or_default()
         }
         Role::Actor(index) => {

@@ -2,6 +2,7 @@
 
 use super::children::{Child, Death, How, Role};
 use super::display::Display;
+use super::joined::HOST;
 use super::replacing::Replacing;
 use super::signals::{Request, Signals};
 use super::watch::{Action, End, Event, Reach, State, step};
@@ -105,8 +106,13 @@ impl Watch<'_, '_> {
                         return Ok((Event::Progress, Matter::Progress(progress)));
                     }
                     Some(Report::Said(line)) => {
-                        self.display.remark(&line);
-                        self.replacing.note(&line);
+                        match line.strip_prefix(HOST) {
+                            Some(row) => self.replacing.prepared().tell_host(row),
+                            None => {
+                                self.display.remark(&line);
+                                self.replacing.note(&line);
+                            }
+                        }
                         None
                     }
                     Some(Report::Exited(role, status)) => {

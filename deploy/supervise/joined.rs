@@ -28,6 +28,10 @@ use trestle_proto::rundir::RunDir;
 
 /// A relay's line begins with this when its host has been let in; the host's actors and their incarnations follow.
 pub(crate) const GRANTED: &str = "granted ";
+/// A line of the head's relay begins with this when it has counted what went to a host and came from it; a [`HostRow`] as JSON follows.
+///
+/// [`HostRow`]: trestle_proto::hosts_file::HostRow
+pub(crate) const HOST: &str = "host-row ";
 /// The file in the directory of a joined host that says why it leaves.
 pub(crate) const FAREWELL: &str = "farewell";
 
@@ -265,7 +269,9 @@ impl Session<'_> {
             How::Exited(status) if status.code() == Some(LOST_HOST.into()) && self.held.is_some() => {
                 Ok(Some(Ended::Again(death.to_string())))
             }
-            How::Exited(status) if status.code().is_some() => Err(anyhow!("{}", death.words())),
+            How::Exited(status) if status.code().is_some() && !death.is_consequence() => {
+                Err(anyhow!("{}", death.words()))
+            }
             _ => Ok(Some(Ended::Died(death))),
         }
     }

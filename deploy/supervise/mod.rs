@@ -30,7 +30,7 @@ use crate::prepare::Prepared;
 use anyhow::{Context, Error, Result, anyhow};
 use children::{Child, Death, Role, log_tail};
 use display::Display;
-pub(crate) use joined::{FAREWELL, GRANTED, Parted, join};
+pub(crate) use joined::{FAREWELL, GRANTED, HOST, Parted, join};
 use replacing::Replacing;
 use restarts::{Restarts, Verdict};
 pub(crate) use signals::{HeldSignals, Signals, asking};

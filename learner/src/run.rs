@@ -21,6 +21,7 @@ use trestle_proto::acting::Acting;
 use trestle_proto::batch::{Batch, Checked};
 use trestle_proto::codec::{self, CodecError};
 use trestle_proto::config::Mode;
+use trestle_proto::hosts_file::is_name;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_QUERY_ROWS, WAIT_SLICE};
 use trestle_proto::mentor::{MentorTransitions, MentorTransitionsError};
@@ -116,6 +117,7 @@ enum Came {
     Joined {
         actor: u32,
         incarnation: Incarnation,
+        host: String,
     },
 }
 
@@ -346,7 +348,7 @@ impl<'a> Loop<'a> {
     fn take_reply(&mut self, reply: Reply) -> Result<(), RunError> {
         let (actor, number) = (reply.header.actor, reply.header.number);
         match reply.header.kind {
-            JOINED => self.join(actor, reply.header.incarnation),
+            JOINED => self.join(actor, reply.header.incarnation, &reply.payload),
             EVALUATION => {
                 let evaluation: Evaluation = codec::decode(EVALUATION_KIND, &reply.payload)?;
                 // An actor and the one that replaces it may both have played the same. One that has not announced itself to this
@@ -375,7 +377,11 @@ impl<'a> Loop<'a> {
     }
 
     /// An actor has announced itself. In lockstep it was expected.
-    fn join(&mut self, actor: u32, incarnation: Incarnation) -> Result<(), RunError> {
+    fn join(&mut self, actor: u32, incarnation: Incarnation, host: &[u8]) -> Result<(), RunError> {
+        let host = String::from_utf8_lossy(host).into_owned();
+        if !host.is_empty() && !is_name(&host) {
+            return Err(LinkError::Unexpected(format!("{host:?} as the host of actor {actor}")).into());
+        }
         let (generation, present) = (incarnation.generation(), self.plan.life.generation);
         let seat = &mut self.seats[actor as usize];
         let known = seat.is_some_and(|seat| seat.incarnation >= incarnation);
@@ -385,8 +391,8 @@ impl<'a> Loop<'a> {
         // One of an earlier generation has not heard of this learner yet.
         if generation == present && !known {
             *seat = Some(Seat { incarnation, batches: 0, next_seq: 0 });
-            self.came.push(Came::Joined { actor, incarnation });
-            tracing::info!(actor, %incarnation, "an actor has come");
+            tracing::info!(actor, %incarnation, host, "an actor has come");
+            self.came.push(Came::Joined { actor, incarnation, host });
         }
         Ok(())
     }
@@ -406,7 +412,9 @@ impl<'a> Loop<'a> {
             let mut answers = self.answers.parts().iter();
             for came in self.came.drain(..count) {
                 match came {
-                    Came::Joined { actor, incarnation } => self.session.joined(actor, incarnation),
+                    Came::Joined { actor, incarnation, host } => {
+                        self.session.joined(actor, incarnation, host)
+                    }
                     Came::Batch(batch) => {
                         let answer = answers.next();
                         // In lockstep what the mentor-server has found in the whole tick counts to the end.
@@ -435,7 +443,7 @@ impl<'a> Loop<'a> {
     fn pass_over(&mut self) {
         for came in self.came.drain(..) {
             match came {
-                Came::Joined { actor, incarnation } => self.session.joined(actor, incarnation),
+                Came::Joined { actor, incarnation, host } => self.session.joined(actor, incarnation, host),
                 Came::Batch(batch) => self.spare.push(batch),
             }
         }

@@ -6,8 +6,9 @@
 
 use crate::checkpoint::{self, BestEvaluation, CheckpointError, Cut, Saver, Taken};
 use crate::record::{
-    ActorRow, Ending, Gauges, Goal, GuideGauges, Limits, METRICS_EVERY, MentorGauges, PROGRESS_EVERY,
-    Progress, RecordError, Recorder, RecorderState, Settings, Staleness, write_actors, write_mentor,
+    ActorRow, Ending, Gauges, Goal, GuideGauges, HostGauges, Limits, METRICS_EVERY, MentorGauges,
+    PROGRESS_EVERY, Progress, RecordError, Recorder, RecorderState, Settings, Staleness, write_actors,
+    write_mentor,
 };
 use crate::timeline::Timeline;
 use serde::{Deserialize, Serialize};
@@ -22,17 +23,19 @@ use trestle_proto::codec::{self, CodecError, Kind};
 use trestle_proto::config::{GuideKind, Mode};
 use trestle_proto::episode::Episode;
 use trestle_proto::experiment::Experiment;
+use trestle_proto::hosts_file::{self, HostState, MAX_BYTES};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::observe::Observed;
 use trestle_proto::plan::{Life, RunPlan};
+use trestle_proto::regular_file;
 use trestle_proto::reply::Evaluation;
 use trestle_proto::round::Round;
 use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 7 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 8 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]
@@ -308,11 +311,11 @@ impl<'a> Session<'a> {
         Ok(ingested.consumed)
     }
 
-    /// Free mode: incarnation `incarnation` of `actor` has come, and begins with an episode. That of the former one, if
-    /// there was one, remains unfinished.
-    pub fn joined(&mut self, actor: u32, incarnation: Incarnation) {
+    /// Free mode: incarnation `incarnation` of `actor` has come, on another `host` or on this one (empty), and begins with an episode.
+    /// That of the former one, if there was one, remains unfinished.
+    pub fn joined(&mut self, actor: u32, incarnation: Incarnation, host: String) {
         self.agent.abandon_episode(actor);
-        self.actors.push(ActorRow { actor, incarnation, ..ActorRow::default() });
+        self.actors.push(ActorRow { actor, incarnation, host, ..ActorRow::default() });
     }
 
     /// Free mode: begins a round that has no steps.
@@ -344,7 +347,7 @@ impl<'a> Session<'a> {
             self.evaluated_at = now;
         }
         if self.recorder.interval_due() {
-            let gauges = self.gauges();
+            let gauges = Gauges { hosts: self.host_gauges(), ..self.gauges() };
             self.recorder.interval(&now, &gauges)?;
             self.stats = TrainStats::default();
             self.staleness = Staleness::default();
@@ -577,6 +580,30 @@ impl<'a> Session<'a> {
             }
         }
         gauges
+    }
+
+    /// What the run's supervisor has written of other hosts, of which this process knows nothing else. Sums over all times that a
+    /// host has joined, and the newest round trip.
+    fn host_gauges(&self) -> Vec<HostGauges> {
+        let Ok(text) = regular_file::read_to_string(&self.dir.hosts(), MAX_BYTES) else { return Vec::new() };
+        let mut hosts: Vec<HostGauges> = Vec::new();
+        for row in hosts_file::of_csv(&text) {
+            let at = match hosts.iter().position(|host| host.name == row.host) {
+                Some(at) => at,
+                None => {
+                    hosts.push(HostGauges { name: row.host, ..HostGauges::default() });
+                    hosts.len() - 1
+                }
+            };
+            let host = &mut hosts[at];
+            host.actors += if row.state == HostState::Joined { row.actors.len() as u64 } else { 0 };
+            host.round_trip_ms = row.round_trip_ms.unwrap_or(host.round_trip_ms);
+            host.bytes_sent += row.bytes_sent;
+            host.bytes_received += row.bytes_received;
+            host.resent += row.resent;
+            host.repeated += row.repeated;
+        }
+        hosts
     }
 
     fn mentor_gauges(&self, name: &str, range: Range<usize>) -> Option<MentorGauges> {

@@ -10,6 +10,7 @@ pub mod codec;
 pub mod config;
 pub mod episode;
 pub mod experiment;
+pub mod hosts_file;
 pub mod incarnation;
 pub mod limits;
 pub mod map_file;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const EVALUATION: u32 = 1;
 /// The payload is the actor's state, to be handed back to it when the run is resumed.
 pub const ACTOR_STATE: u32 = 2;
-/// No payload: an actor has come.
+/// An actor has come. The payload is the name of its host where that is not the learner's, as UTF-8, and else empty.
 pub const JOINED: u32 = 3;
 
 /// The frame of an [`Evaluation`].

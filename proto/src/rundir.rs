@@ -27,6 +27,8 @@ pub const DEMONSTRATIONS_DIR: &str = "demonstrations";
 pub const MENTOR_FILE: &str = "mentor.csv";
 /// What was counted of each incarnation of an actor, in free mode.
 pub const ACTORS_FILE: &str = "actors.csv";
+/// What went over the network to other hosts, in a run that has some.
+pub const HOSTS_FILE: &str = "hosts.csv";
 /// Greedy evaluations.
 pub const EVALS_FILE: &str = "evals.csv";
 /// Episodes and intervals.
@@ -135,6 +137,11 @@ impl RunDir {
     /// What was counted of each incarnation of an actor, in free mode.
     pub fn actors(&self) -> PathBuf {
         self.root.join(ACTORS_FILE)
+    }
+
+    /// What went over the network to other hosts.
+    pub fn hosts(&self) -> PathBuf {
+        self.root.join(HOSTS_FILE)
     }
 
     /// Greedy evaluations.

@@ -8,8 +8,8 @@
 
 use crate::RelayError;
 use crate::frame::{Frame, Kind};
-use crate::limits::{FAREWELL, FAREWELLS, MAX_HOSTS, MAX_NAME};
-use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat, is_name};
+use crate::limits::{FAREWELL, FAREWELLS, MAX_HOSTS, TOLD_EVERY};
+use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat};
 use crate::stream::{Counts, Stream};
 use crate::wire::Program;
 use std::cell::Cell;
@@ -23,6 +23,7 @@ use trestle_proto::acting::ActingHeader;
 use trestle_proto::batch::{self, Batch, BatchHeader, Checked, Spaces};
 use trestle_proto::codec;
 use trestle_proto::config::Mode;
+use trestle_proto::hosts_file::{HostRow, HostState, MAX_NAME, is_name};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::{MAX_REPLY_BYTES, WAIT_SLICE};
 use trestle_proto::orders::Orders;
@@ -60,6 +61,35 @@ struct Host {
     waiting: Option<FromHost>,
     /// When something came from it last.
     heard: Duration,
+    /// When its counts were told last.
+    told: Duration,
+}
+
+impl Host {
+    /// What is known of it, as `peer`.
+    fn row(&self, peer: u64, state: HostState) -> HostRow {
+        let Counts { sent, received, resent, repeated } = self.stream.counts();
+        HostRow {
+            peer,
+            host: self.name.clone(),
+            actors: self.actors.clone(),
+            state,
+            round_trip_ms: self.stream.round_trip().map(|time| 1e3 * time.as_secs_f64()),
+            bytes_sent: sent,
+            bytes_received: received,
+            resent,
+            repeated,
+        }
+    }
+}
+
+/// What a head has to tell its supervisor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum News<'a> {
+    /// A sentence for people.
+    Words(&'a str),
+    /// What is known of a host by now. It comes when the host joins, every second from then on, and when it is gone.
+    Host(HostRow),
 }
 
 /// What became of a message to the learner.
@@ -73,7 +103,7 @@ enum Delivery {
 
 struct Head<'a> {
     wire: &'a mut Program,
-    say: &'a mut dyn FnMut(&str),
+    tell: &'a mut dyn FnMut(News<'_>),
     plan: &'a RunPlan,
     options: &'a Options,
     lockstep: bool,
@@ -89,6 +119,8 @@ struct Head<'a> {
     hosts: BTreeMap<u64, Host>,
     /// The hosts whose refusal has been said.
     refused: BTreeSet<u64>,
+    /// The hosts for which there is no place yet, and when they asked last.
+    waiting: BTreeMap<u64, Duration>,
     orders: Box<Orders>,
     /// How many orders there have been.
     ordered: u64,
@@ -116,8 +148,7 @@ impl Clock {
     }
 }
 
-/// Serves the learner of `plan`'s run, and the hosts at the other ends of `wire`, until `stop` says so. `say` is told what people
-/// should know.
+/// Serves the learner of `plan`'s run, and the hosts at the other ends of `wire`, until `stop` says so. `tell` is given the news.
 ///
 /// # Errors
 /// A host that a run in lockstep cannot go on without is lost; the learner is; or the wire carries nothing any more.
@@ -126,7 +157,7 @@ pub fn run(
     plan: &RunPlan,
     options: &Options,
     stop: Stop<'_>,
-    say: &mut dyn FnMut(&str),
+    tell: &mut dyn FnMut(News<'_>),
 ) -> Result<(), RelayError> {
     let RunPlan { life, experiment } = plan;
     let seats = relay::seats(plan, options.actors.clone())?;
@@ -136,7 +167,7 @@ pub fn run(
     let remote = seats.len();
     let mut head = Head {
         wire,
-        say,
+        tell,
         plan,
         options,
         lockstep: experiment.config.run.mode == Mode::Lockstep,
@@ -148,6 +179,7 @@ pub fn run(
         lives: vec![None; remote],
         hosts: BTreeMap::new(),
         refused: BTreeSet::new(),
+        waiting: BTreeMap::new(),
         orders: Box::default(),
         ordered: 0,
         batch: Checked::default(),
@@ -157,13 +189,18 @@ pub fn run(
         Range { start, end } if end - start == 1 => format!("actor {start}"),
         Range { start, end } => format!("actors {start} to {}", end - 1),
     };
-    (head.say)(&format!("waiting for other hosts, which are to run {actors}"));
+    head.say(&format!("waiting for other hosts, which are to run {actors}"));
     let ended = head.serve(stop);
     head.farewell(&ended);
     ended
 }
 
 impl Head<'_> {
+    /// Says something to people.
+    fn say(&mut self, text: &str) {
+        (self.tell)(News::Words(text));
+    }
+
     fn serve(&mut self, stop: Stop<'_>) -> Result<(), RelayError> {
         while !stop() {
             pulse::step();
@@ -176,6 +213,7 @@ impl Head<'_> {
             self.look_for_the_lost(now)?;
             self.give_orders()?;
             busy |= self.deliver()?;
+            self.tell_counts(now);
             let due = self.flush(now);
             if !busy {
                 self.seats[0].sleep(due.saturating_sub(now).min(WAIT_SLICE))?;
@@ -215,7 +253,7 @@ impl Head<'_> {
         match frame.kind {
             Kind::Farewell | Kind::Over => {
                 let reason = format!("left: {}", frame.text());
-                self.lose(peer, &reason)
+                self.lose(peer, HostState::Left, &reason)
             }
             _ if host.stream.receive(&frame, now) => Ok(()),
             _ => self.expel(peer, "its numbers cannot be right"),
@@ -259,6 +297,7 @@ impl Head<'_> {
                 self.hosts.values().map(|host| format!("{} has {}", host.name, host.actors.len())).collect();
             let reason =
                 format!("all {} places for actors are taken ({})", self.seats.len(), taken.join(", "));
+            self.wait_with(peer, now);
             self.refuse(peer, &hello.name, &reason, true);
             return Ok(());
         }
@@ -280,10 +319,13 @@ impl Head<'_> {
         let missing = self.holders.iter().filter(|holder| holder.is_none()).count();
         let rest =
             if missing > 0 { format!("; {missing} more actors are waited for") } else { String::new() };
-        (self.say)(&format!("host {name} has joined with {}{rest}", of(&actors)));
+        self.say(&format!("host {name} has joined with {}{rest}", of(&actors)));
         tracing::info!(host = name, peer = format!("{peer:016x}"), ?actors, "a host has joined");
-        let host = Host { name, stream, actors, given: 0, acting: None, waiting: None, heard: now };
+        let host =
+            Host { name, stream, actors, given: 0, acting: None, waiting: None, heard: now, told: now };
+        (self.tell)(News::Host(host.row(peer, HostState::Joined)));
         self.hosts.insert(peer, host);
+        self.waiting.remove(&peer);
         Ok(())
     }
 
@@ -308,7 +350,27 @@ impl Head<'_> {
         let refusal = Frame::bare(Kind::Refused, self.options.session, text.as_bytes());
         self.wire.send(peer, refusal.encode());
         if self.refused.len() < MAX_HOSTS && self.refused.insert(peer) {
-            (self.say)(&format!("host {name} is refused: {reason}"));
+            self.say(&format!("host {name} is refused: {reason}"));
+        }
+    }
+
+    /// Notes that a host waits for a place, and forgets the one that has been silent for longest where there are too many.
+    fn wait_with(&mut self, peer: u64, now: Duration) {
+        self.waiting.insert(peer, now);
+        if self.waiting.len() > MAX_HOSTS
+            && let Some((&silent, _)) = self.waiting.iter().min_by_key(|(_, asked)| **asked)
+        {
+            self.waiting.remove(&silent);
+        }
+    }
+
+    /// Tells the counts of each host, now and then.
+    fn tell_counts(&mut self, now: Duration) {
+        for (&peer, host) in &mut self.hosts {
+            if now >= host.told + TOLD_EVERY {
+                host.told = now;
+                (self.tell)(News::Host(host.row(peer, HostState::Joined)));
+            }
         }
     }
 
@@ -316,7 +378,7 @@ impl Head<'_> {
     fn expel(&mut self, peer: u64, reason: &str) -> Result<(), RelayError> {
         let farewell = Frame::bare(Kind::Farewell, self.options.session, reason.as_bytes());
         self.wire.send(peer, farewell.encode());
-        self.lose(peer, &format!("is sent away: {reason}"))
+        self.lose(peer, HostState::Lost, &format!("is sent away: {reason}"))
     }
 
     fn look_for_the_lost(&mut self, now: Duration) -> Result<(), RelayError> {
@@ -325,21 +387,23 @@ impl Head<'_> {
         match lost {
             Some(peer) => {
                 let seconds = self.options.silence.as_secs();
-                self.lose(peer, &format!("has given no sign of life for {seconds} s (--host-silence)"))
+                let how = format!("has given no sign of life for {seconds} s (--host-silence)");
+                self.lose(peer, HostState::Lost, &how)
             }
             None => Ok(()),
         }
     }
 
     /// A host is gone.
-    fn lose(&mut self, peer: u64, how: &str) -> Result<(), RelayError> {
+    fn lose(&mut self, peer: u64, state: HostState, how: &str) -> Result<(), RelayError> {
         let Some(host) = self.hosts.remove(&peer) else { return Ok(()) };
         let said = format!("host {} with {} {how}", host.name, of(&host.actors));
         tracing::warn!("{said}; {}", counted(host.stream.counts(), host.stream.round_trip()));
+        (self.tell)(News::Host(host.row(peer, state)));
         if self.lockstep {
             return Err(RelayError::Lost(said));
         }
-        (self.say)(&format!("{said}; the run goes on, and takes it back when it returns"));
+        self.say(&format!("{said}; the run goes on, and takes it back when it returns"));
         self.holders.iter_mut().filter(|holder| **holder == Some(peer)).for_each(|holder| *holder = None);
         Ok(())
     }
@@ -429,6 +493,7 @@ impl Head<'_> {
                 self.seats[seat].send_batch(&self.batch)
             }
             FromHost::Reply(reply) if reply.header.kind == JOINED => {
+                let name = self.hosts.get(&peer).map(|host| host.name.clone()).unwrap_or_default();
                 // The actor is there: now the learner is to hear of it. It may be busy for a while.
                 let asked = Cell::new(false);
                 match self.seats[seat].hello(&|| asked.replace(true)) {
@@ -436,7 +501,7 @@ impl Head<'_> {
                     said => said?,
                 }
                 self.lives[seat] = self.lives[seat].max(Some(reply.header.incarnation));
-                self.seats[seat].send_reply(reply)
+                self.seats[seat].send_reply(&Reply { header: reply.header, payload: name.into() })
             }
             FromHost::Reply(reply) => self.seats[seat].send_reply(reply),
         };
@@ -471,12 +536,17 @@ impl Head<'_> {
             Err(error) => (Kind::Farewell, error.to_string()),
         };
         let farewell = Frame::bare(kind, self.options.session, text.as_bytes()).encode();
-        for host in self.hosts.values() {
+        for (&peer, host) in &self.hosts {
             let counts = counted(host.stream.counts(), host.stream.round_trip());
             tracing::info!(host = host.name, "{counts}");
+            (self.tell)(News::Host(host.row(peer, HostState::Left)));
         }
         for _ in 0..FAREWELLS {
             self.hosts.keys().for_each(|&peer| self.wire.send(peer, farewell.clone()));
+            if kind == Kind::Over {
+                // They need not wait any longer.
+                self.waiting.keys().for_each(|&peer| self.wire.send(peer, farewell.clone()));
+            }
             let until = Instant::now() + FAREWELL;
             while !self.hosts.is_empty() && Instant::now() < until {
                 self.wire.wait(until.saturating_duration_since(Instant::now()));

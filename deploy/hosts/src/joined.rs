@@ -38,6 +38,16 @@ pub struct Options {
     pub patience: Duration,
 }
 
+/// The head's answer to a host that wants to join.
+pub enum Answer {
+    /// It is let in.
+    In(Box<Joined>, Grant),
+    /// The run is over, as the head says.
+    Over(String),
+    /// This relay was told to leave before there was an answer.
+    Told,
+}
+
 /// How a session ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ended {
@@ -60,8 +70,6 @@ pub struct Joined {
 
 /// Says hello until the head lets this host in and sends its grant. `say` is told the news for people.
 ///
-/// None: it was told to leave.
-///
 /// # Errors
 /// The head refuses this host, says nothing for too long, or ends the session at once; the wire carries nothing any more.
 pub fn join(
@@ -69,7 +77,7 @@ pub fn join(
     options: &Options,
     stop: Stop<'_>,
     say: &mut dyn FnMut(&str),
-) -> Result<Option<(Joined, Grant)>, RelayError> {
+) -> Result<Answer, RelayError> {
     let hello = codec::encode(HELLO_KIND, &options.hello)?;
     let hello = Frame::bare(Kind::Hello, 0, &hello).encode();
     let mut clock = Clock::new();
@@ -77,7 +85,7 @@ pub fn join(
     let mut told = None;
     let session = loop {
         if stop() {
-            return Ok(None);
+            return Ok(Answer::Told);
         }
         pulse::step();
         let now = clock.look();
@@ -95,6 +103,8 @@ pub fn join(
         let Some((_, bytes)) = wire.recv()? else { continue };
         match Frame::decode(&bytes) {
             Some(frame) if frame.kind == Kind::Welcome => break frame.session,
+            // While this host waited for a place.
+            Some(frame) if frame.kind == Kind::Over => return Ok(Answer::Over(frame.text())),
             Some(frame) if frame.kind == Kind::Refused => {
                 heard = now;
                 let text = frame.text();
@@ -117,17 +127,18 @@ pub fn join(
     loop {
         if stop() {
             joined.farewell(wire, "told to leave");
-            return Ok(None);
+            return Ok(Answer::Told);
         }
         pulse::step();
         joined.pump(wire)?;
         match joined.ended.take() {
-            Some(Ended::Over(reason) | Ended::Session(reason)) => return Err(RelayError::Lost(reason)),
+            Some(Ended::Over(reason)) => return Ok(Answer::Over(reason)),
+            Some(Ended::Session(reason)) => return Err(RelayError::Lost(reason)),
             Some(Ended::Told) | None => {}
         }
         if let Some(message) = joined.take()? {
             match FromHead::decode(&message, &[]) {
-                Ok(FromHead::Grant(grant)) => return Ok(Some((joined, grant))),
+                Ok(FromHead::Grant(grant)) => return Ok(Answer::In(Box::new(joined), grant)),
                 _ => {
                     return Err(RelayError::Lost("the head does not begin with what this host needs".into()));
                 }

@@ -14,8 +14,6 @@ pub const MAX_TEXT: usize = 4096;
 pub const MAX_HOSTS: usize = 80;
 /// Frames that may wait to be looked at, or to be sent. More are dropped, and sent again.
 pub const QUEUE: usize = 256;
-/// Longest name of a host, bytes.
-pub const MAX_NAME: usize = 64;
 
 /// First guess of how long an acknowledgement takes.
 pub const FIRST_PATIENCE: Duration = Duration::from_millis(500);
@@ -25,6 +23,8 @@ pub const LEAST_PATIENCE: Duration = Duration::from_millis(100);
 pub const MOST_PATIENCE: Duration = Duration::from_secs(5);
 /// How often a peer gives a sign of life where it has nothing to say.
 pub const SIGN: Duration = Duration::from_secs(1);
+/// How often a head tells what has gone over the network to each host.
+pub const TOLD_EVERY: Duration = Duration::from_secs(1);
 /// How often an unanswered hello is repeated.
 pub const HELLO: Duration = Duration::from_millis(300);
 /// How often a farewell is said to a peer that does not return it.

@@ -3,7 +3,6 @@
 //! The first byte of a message is its kind. Batches, replies, orders and weights have the layouts of shared memory
 //! (`docs/protocol.md`), header first; every number is checked where it is received.
 
-use crate::limits::MAX_NAME;
 use bytemuck::{Pod, bytes_of, cast_slice, pod_read_unaligned};
 use serde::{Deserialize, Serialize};
 use std::mem::offset_of;
@@ -26,16 +25,6 @@ const REPLY: u8 = 4;
 
 /// Bytes of orders before the shares.
 const ORDERS_HEAD: usize = offset_of!(Orders, shares);
-
-/// Whether the name of a host may have this character.
-pub fn is_plain(c: char) -> bool {
-    c.is_ascii_alphanumeric() || "-_.".contains(c)
-}
-
-/// Whether this can be the name of a host: 1 to [`MAX_NAME`] plain characters.
-pub fn is_name(name: &str) -> bool {
-    (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_plain)
-}
 
 /// A host's description of itself when it wants to join.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

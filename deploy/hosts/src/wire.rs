@@ -30,9 +30,12 @@ pub enum WireError {
         /// The system's message.
         reason: String,
     },
-    /// It has ended.
+    /// It has ended, and said why.
     #[error("{0}")]
     Ended(String),
+    /// It has ended without a word: somebody has killed it.
+    #[error("trestle-relay has ended")]
+    Gone,
 }
 
 /// Called whenever a frame has come, by the thread that has received it.
@@ -157,8 +160,7 @@ impl Program {
                 return brings.fail(WireError::Ended(format!("trestle-relay: {error}")));
             }
             let last = words.join().unwrap_or_default();
-            let said = if last.is_empty() { "trestle-relay has ended".into() } else { last };
-            brings.fail(WireError::Ended(said));
+            brings.fail(if last.is_empty() { WireError::Gone } else { WireError::Ended(last) });
         });
         thread::spawn(move || {
             for (peer, frame) in frames {

@@ -230,9 +230,11 @@ export class RunView {
       return;
     }
     const heads = ["actor", "incarnation", "batches", "steps", "staleness", "most"];
+    // Where other hosts lend actors to the run.
+    if (actors.some((row) => row[6])) heads.push("host");
     this.actors.replaceChildren(h("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Table of actors" }, h("table", {},
       h("thead", {}, h("tr", {}, heads.map((head) => h("th", { scope: "col" }, head)))),
-      h("tbody", {}, actors.map((row) => h("tr", {}, row.map((cell, at) => h("td", {}, at === 1 ? incarnation(cell) : cell === "" ? "–" : cell))))))));
+      h("tbody", {}, actors.map((row) => h("tr", {}, row.slice(0, heads.length).map((cell, at) => h("td", {}, at === 1 ? incarnation(cell) : cell === "" ? "–" : cell))))))));
   }
 
   tellLogs() {

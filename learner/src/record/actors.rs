@@ -8,7 +8,7 @@ use std::path::Path;
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::rundir::{ACTORS_FILE, Durable, write_atomically};
 
-const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max";
+const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max,host";
 
 /// What has been counted of one incarnation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -17,6 +17,8 @@ pub struct ActorRow {
     pub actor: u32,
     /// Its incarnation.
     pub incarnation: Incarnation,
+    /// The name of its host; empty where that is the learner's own.
+    pub host: String,
     /// Batches taken in.
     pub batches: u64,
     /// Their transitions that were counted and stored; fewer than the batches have only at the end of the run.
@@ -55,14 +57,14 @@ impl Staleness {
 /// Writes `actors.csv` into the run directory `dir`. A reader sees the old file or the new one, never a part.
 pub fn write_actors(dir: &Path, rows: &[ActorRow]) -> Result<(), RecordError> {
     let mut text = format!("{COLUMNS}\n");
-    for ActorRow { actor, incarnation, batches, env_steps, staleness } in rows {
+    for ActorRow { actor, incarnation, host, batches, env_steps, staleness } in rows {
         let _ = write!(text, "{actor},{incarnation},{batches},{env_steps},");
         if *batches > 0 {
             let _ = write!(text, "{:.3},{}", staleness.mean(), staleness.max);
         } else {
             text.push(',');
         }
-        text.push('\n');
+        let _ = writeln!(text, ",{host}");
     }
     let path = dir.join(ACTORS_FILE);
     // It can be made again from the checkpoint, and a checkpoint does not wait for it.
@@ -83,6 +85,7 @@ mod tests {
             incarnation: Incarnation::new(1, 0),
             batches: 2,
             env_steps: 64,
+            host: "b".into(),
             ..ActorRow::default()
         };
         row.staleness.add(1);
@@ -90,7 +93,7 @@ mod tests {
         write_actors(dir.path(), &[ActorRow::default(), row]).unwrap();
         assert_eq!(
             std::fs::read_to_string(dir.path().join(ACTORS_FILE)).unwrap(),
-            "actor,incarnation,batches,env_steps,staleness_mean,staleness_max\n0,0,0,0,,\n1,65536,2,64,2.500,4\n"
+            "actor,incarnation,batches,env_steps,staleness_mean,staleness_max,host\n0,0,0,0,,,\n1,65536,2,64,2.500,4,b\n"
         );
         let none = Staleness::default();
         assert!(none.mean().is_nan() && none.max().is_nan());

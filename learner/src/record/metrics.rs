@@ -92,6 +92,8 @@ pub struct Gauges {
     pub checkpoint_frac: f64,
     /// Memory of this process that is in use, MiB.
     pub memory_mb: f64,
+    /// What has gone over the network to other hosts and from them, since the newest start of the run.
+    pub hosts: Vec<HostGauges>,
     /// Free mode: mean age of the weights that batches were collected with, in publications, since the last interval.
     pub staleness_mean: f64,
     /// The highest of these ages.
@@ -115,6 +117,40 @@ pub struct MentorGauges {
     pub bridge_len_mean: f64,
     /// Share of its transitions that have been picked for an observer transition, 0 to 1.
     pub visited_frac: f64,
+}
+
+/// What is known of another host, by its name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HostGauges {
+    /// Its name.
+    pub name: String,
+    /// Actors that it runs now.
+    pub actors: u64,
+    /// Time from a piece of a message to its acknowledgement, milliseconds; NaN before the first one.
+    pub round_trip_ms: f64,
+    /// Bytes sent to it.
+    pub bytes_sent: u64,
+    /// Bytes received from it.
+    pub bytes_received: u64,
+    /// Pieces of messages that were sent to it again.
+    pub resent: u64,
+    /// Pieces that came from it again.
+    pub repeated: u64,
+}
+
+impl Default for HostGauges {
+    /// Nothing known, and nothing sent.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            actors: 0,
+            round_trip_ms: f64::NAN,
+            bytes_sent: 0,
+            bytes_received: 0,
+            resent: 0,
+            repeated: 0,
+        }
+    }
 }
 
 /// What the loop knows of learned bridges. NaN as in [`Gauges`].
@@ -159,6 +195,7 @@ impl Default for Gauges {
             wait_mentor_frac: f64::NAN,
             checkpoint_frac: f64::NAN,
             memory_mb: f64::NAN,
+            hosts: Vec::new(),
             staleness_mean: f64::NAN,
             staleness_max: f64::NAN,
             samples_per_insert: f64::NAN,
@@ -185,7 +222,7 @@ impl Serialize for Row {
 }
 
 impl Row {
-    fn count(&mut self, key: &'static str, value: u64) {
+    fn count(&mut self, key: impl Into<Cow<'static, str>>, value: u64) {
         self.0.push((key.into(), Value::Count(value)));
     }
 
@@ -271,6 +308,15 @@ pub(super) fn interval_row(now: &Counters, wall_s: f64, fps: f64, window: &Windo
     row.real("ipc/wait_mentor_frac", gauges.wait_mentor_frac);
     row.real("time/checkpoint_frac", gauges.checkpoint_frac);
     row.real("memory/learner_mb", gauges.memory_mb);
+    for host in &gauges.hosts {
+        let key = |what| format!("hosts/{}/{what}", host.name);
+        row.count(key("actors"), host.actors);
+        row.real(key("round_trip_ms"), host.round_trip_ms);
+        row.count(key("bytes_sent"), host.bytes_sent);
+        row.count(key("bytes_received"), host.bytes_received);
+        row.count(key("resent"), host.resent);
+        row.count(key("repeated"), host.repeated);
+    }
     row.real("free/staleness_mean", gauges.staleness_mean);
     row.real("free/staleness_max", gauges.staleness_max);
     row.real("free/samples_per_insert", gauges.samples_per_insert);
@@ -301,6 +347,16 @@ mod tests {
             r#"{"time/episodes":2,"time/total_timesteps":30,"time/fps":20.0,"time/time_elapsed":1.5,"train/n_updates":7,"train/learning_rate":0.0005,"replay/size":30}"#
         );
         assert_eq!(row.scalars()[2], ("time/fps", 20.0));
+    }
+
+    #[test]
+    fn a_host_has_keys_of_its_own() {
+        let host = HostGauges { name: "b".into(), actors: 2, bytes_sent: 9, ..HostGauges::default() };
+        let gauges = Gauges { hosts: vec![host], ..Gauges::default() };
+        let row = interval_row(&Counters::default(), 1.5, 20.0, &Window::default(), &gauges);
+        let text = serde_json::to_string(&row).unwrap();
+        let expected = r#""hosts/b/actors":2,"hosts/b/bytes_sent":9,"hosts/b/bytes_received":0,"hosts/b/resent":0,"hosts/b/repeated":0}"#;
+        assert!(text.ends_with(expected), "{text}");
     }
 
     proptest! {

@@ -34,7 +34,7 @@ mod thinning;
 pub use actors::{ActorRow, Staleness, write_actors};
 pub use error::RecordError;
 pub use mentor::write_mentor;
-pub use metrics::{Gauges, GuideGauges, MentorGauges, WINDOW};
+pub use metrics::{Gauges, GuideGauges, HostGauges, MentorGauges, WINDOW};
 pub use progress::{Limits, Progress, seconds_left};
 pub use result::write_result;
 pub use solved::{CONSECUTIVE, Goal, Moment, Standing};
