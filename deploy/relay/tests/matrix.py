@@ -1,33 +1,36 @@
 #!/usr/bin/env python3
 """Runs over several hosts on a bad network, while processes are killed: each must end as the same run on one host.
 
-    deploy/relay/tests/matrix.py            a few rows, some minutes
-    deploy/relay/tests/matrix.py long       every network, mode and fault
+    deploy/relay/tests/matrix.py                       a few rows and the hosts that are refused, some minutes
+    deploy/relay/tests/matrix.py long                  every network, mode and fault
+    deploy/relay/tests/matrix.py random SEED [COUNT]   faults, networks and moments that SEED draws, 100 unless COUNT is given
     deploy/relay/tests/matrix.py NET MODE FAULT
-    deploy/relay/tests/matrix.py refused    who is not let in
+    deploy/relay/tests/matrix.py refused               who is not let in
+
+    --jobs N          rows at once
+    --results FILE    a row that passes is added to this CSV, and a row that is in it is passed over
 
 Needs root, iproute2, /dev/net/tun, target/debug/trestle (or TRESTLE) and deploy/relay/target/debug/trestle-relay (or
 TRESTLE_RELAY). The hosts are namespaces of this machine, see network.py. Ends with status 77 where these cannot be had.
 """
 
-import json
+import argparse
+import csv
+import ctypes
 import os
+import random
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from network import Network
-
-TOP = Path(__file__).resolve().parents[3]
-TRESTLE = os.environ.get("TRESTLE", str(TOP / "target/debug/trestle"))
-RELAY = os.environ.get("TRESTLE_RELAY", str(TOP / "deploy/relay/target/debug/trestle-relay"))
-PORT = 7447
-LIMIT = 600
-STEPS = {"lockstep": 3000, "lag": 3000, "free": 20000}
+import hosts as at
+from hosts import TOP, TRESTLE, Hosts, end, kill, until
+from refused import refused
 
 NETWORKS = {
     "none": {},
@@ -36,10 +39,13 @@ NETWORKS = {
     "loss": {"delay": 0.002, "loss": 0.02},
     "reorder": {"delay": 0.005, "overtake": 0.1},
     "1mbit": {"delay": 0.005, "rate": 1e6},
-    "cut5": {"for": 5},
-    "cut60": {"for": 60},
+    "cut5": {},
+    "cut60": {},
 }
-MODES = {"lockstep": [], "lag": ["--set", "run.lag=1"], "free": ["--mode", "free"]}
+CUTS = {"cut5": 5, "cut60": 60}
+# In free mode steps take a millisecond: that is what it is for, and the run must outlive what is done to it.
+SLOW = ["--set", "env.hazard.kind=slow", "--set", "env.hazard.after=1"]
+MODES = {"lockstep": [], "lag": ["--set", "run.lag=1"], "free": ["--mode", "free", *SLOW]}
 FAULTS = ["none", "relay", "host", "learner"]
 SHORT = [
     ("none", "lockstep", "none"),
@@ -49,235 +55,269 @@ SHORT = [
     ("cut5", "free", "none"),
     ("none", "free", "learner"),
 ]
+# What `random` draws from: processes of the head, of host b, host b or the head as a whole, and the network.
+RANDOM_NETWORKS = ["none", "20ms", "100ms", "loss", "reorder", "1mbit"]
+HEADS = ["learner", "mentor-server", "relay", "carrier", "actor"]
+RANDOM_FAULTS = [*HEADS, "b's relay", "b's carrier", "b's actor", "host", "head", "b stopped", "cut", "cut", "cut"]
+# After these host b is lost, at the latest when it has been silent for too long, and comes back.
+AWAY = ["host", "b's relay", "b's carrier", "b stopped", "cut"]
+COLUMNS = ["command", "number", "network", "mode", "fault", "moment", "for_s", "seconds", "restarts", "bytes"]
 
 
-def training(mode, more):
-    args = ["maze-small", "--algo", "ha-diiqn", "--seed", "11", "--episodes", "1000000000", "--env-steps", str(STEPS[mode])]
-    return [TRESTLE, "train", *args, *MODES[mode], "--set", "checkpoint.every_env_steps=500", *more]
+class Row:
+    """What is done to one run, after its first checkpoint and `moment` of its steps, a share, and for `lasts` seconds."""
+
+    def __init__(self, command, number, net, mode, fault, moment=0.0, lasts=0.0, silence=20):
+        self.command, self.number = command, number
+        self.net, self.mode, self.fault = net, mode, fault
+        self.moment, self.lasts, self.silence = moment, lasts, silence
+        self.cut = CUTS.get(net, 0)
+
+    def key(self):
+        return (self.command, str(self.number), self.net, self.mode, self.fault)
+
+    def name(self):
+        return "-".join([*self.key()[:2], self.net, self.mode, self.fault.replace("'s", "").replace(" ", "-")])
+
+    def steps(self):
+        """Environment steps of the run."""
+        return 3000 if self.mode != "free" else 20_000
+
+    def endless(self):
+        """Whether the run goes on until the hosts are back, and is stopped then: in free mode it does not wait for them."""
+        return self.mode == "free" and (self.cut > 0 or self.fault in AWAY)
+
+    def training(self, more):
+        args = ["train", "maze-small", "--algo", "ha-diiqn", "--seed", "11", "--episodes", "1000000000"]
+        every = ["--set", "checkpoint.every_env_steps=500"]
+        steps = 1_000_000_000 if self.endless() else self.steps()
+        return [*args, "--env-steps", str(steps), *MODES[self.mode], *every, *more]
 
 
-def result(out):
-    return json.loads((Path(out) / "result.json").read_text())
+def drawn(seed, number):
+    """Row `number` of the faults that `seed` draws: the same wherever and whenever it is asked for."""
+    draw = random.Random(f"{seed}/{number}")
+    net, mode = draw.choice(RANDOM_NETWORKS), draw.choice(list(MODES))
+    fault = draw.choice(RANDOM_FAULTS)
+    lasts = round(draw.uniform(0.2, 9), 1) if fault in ("cut", "b stopped") else 0.0
+    return Row(f"random {seed}", number, net, mode, fault, round(draw.uniform(0.1, 0.6), 2), lasts, silence=5)
 
 
-def inside(out, role):
-    """The ids, as this namespace has them, of the run's or the host's processes `role` with `out` among their arguments."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if len(words) > 2 and words[1] == role.encode() and any(out.encode() in word for word in words):
-                found.append(int(entry.name))
-    return found
+class Play:
+    """One run over three hosts, and what is done to it."""
 
+    def __init__(self, row, place, cred):
+        self.row, self.place, self.out = row, place, place / "run"
+        self.hosts = Hosts(place, cred, silence=row.silence, seed=row.number if row.command.startswith("random") else 1)
+        for key, value in NETWORKS[row.net].items():
+            setattr(self.hosts.net, key, value)
+        own = ["--actors", "1", "--out", str(self.out)]
+        self.head = self.hosts.head(row.training(own), 2)
+        self.joined = {name: self.hosts.join(name) for name in ("b", "c")}
 
-def until(what, condition, process):
-    end = time.monotonic() + LIMIT
-    while not condition():
-        if time.monotonic() > end:
-            raise AssertionError(f"waited {LIMIT} s for {what}")
-        if process.poll() is not None:
-            raise AssertionError(f"the run ended before {what}")
-        time.sleep(0.05)
+    def cut(self, lasts):
+        """Cuts the network. The run does not end meanwhile."""
+        self.hosts.net.cut = True
+        time.sleep(lasts)
+        if self.head.poll() is not None:
+            raise AssertionError("the run ended while the network was cut")
+        self.hosts.net.cut = False
 
-
-def end(process):
-    try:
-        return process.wait(LIMIT)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        raise AssertionError(f"not over after {LIMIT} s") from None
-
-
-class Hosts:
-    """A head and hosts b and c."""
-
-    def __init__(self, place, seed=1):
-        self.place, self.processes = Path(place), []
-        self.net = Network(["head", "b", "c"], seed)
-        self.url = f"tls/{self.net.address['head']}:{PORT}"
-        credentials = ["hosts", "credentials", "--out", str(self.place / "cred"), "--name", self.net.address["head"]]
-        if not (self.place / "cred").exists():
-            subprocess.run([TRESTLE, *credentials], check=True, env={**os.environ, "TRESTLE_RELAY": RELAY}, stdout=subprocess.DEVNULL)
-
-    def start(self, name, words):
-        log = open(self.place / f"{name}.log", "ab")
-        process = self.net.start(name, words, {"TRESTLE_RELAY": RELAY}, log)
-        self.processes.append(process)
-        return process
-
-    def credentials(self, name):
-        return ["--credentials", str(self.place / f"cred/{name}.pem")]
-
-    def head(self, mode, out):
-        listen = ["--actors", "1", "--remote-actors", "2", "--listen", f"tls/0.0.0.0:{PORT}", "--host-silence", "20"]
-        return self.start("head", training(mode, [*listen, *self.credentials("head"), "--out", str(out)]))
-
-    def join(self, name):
-        silence = ["--host-silence", "20"]
-        return self.start(name, [TRESTLE, "join", self.url, "--actors", "1", "--name", name, *silence, *self.credentials("join")])
-
-    def close(self):
-        for process in self.processes:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-        self.net.close()
-
-
-def left(place, name):
-    """The listing of a host's /dev/shm and /tmp at its end, beside the names of the two: it should be empty."""
-    lines = (place / f"{name}.log").read_text(errors="replace").splitlines()
-    at = max(i for i, line in enumerate(lines) if line == "/dev/shm:")
-    return [line for line in lines[at:] if line and line not in ("/dev/shm:", "/tmp:")]
-
-
-def row(net, mode, fault, place, expected):
-    hosts = Hosts(place)
-    out = Path(place) / f"{net}-{mode}-{fault}"
-    for name in "head", "b", "c":
-        (Path(place) / f"{name}.log").unlink(missing_ok=True)
-    began = time.monotonic()
-    try:
-        how = dict(NETWORKS[net])
-        cut = how.pop("for", 0)
-        for key, value in how.items():
-            setattr(hosts.net, key, value)
-        head, joined = hosts.head(mode, out), {name: hosts.join(name) for name in ("b", "c")}
-        until("a checkpoint", lambda: list((out / "checkpoints").glob("*/COMPLETE")), head)
-        if cut:
-            hosts.net.cut = True
-            time.sleep(cut)
-            hosts.net.cut = False
-        if fault == "relay":
-            os.kill(inside(str(out), "relay")[0], signal.SIGKILL)
-        elif fault == "learner":
-            os.kill(inside(str(out), "learner")[0], signal.SIGKILL)
+    def strike(self):
+        """Does what the row says."""
+        fault, b = self.row.fault, self.joined["b"]
+        struck = True
+        if fault in HEADS:
+            struck = kill(self.head, fault)
+        elif fault.startswith("b's "):
+            struck = kill(b, fault.removeprefix("b's "))
         elif fault == "host":
             # As a whole: nobody there says farewell.
-            os.killpg(joined["b"].pid, signal.SIGKILL)
-            joined["b"].wait()
-            joined["b"] = hosts.join("b")
-        if end(head) != 0:
+            os.killpg(b.pid, signal.SIGKILL)
+            b.wait()
+            self.joined["b"] = self.hosts.join("b")
+        elif fault == "head":
+            os.killpg(self.head.pid, signal.SIGKILL)
+            self.head.wait()
+            if not (self.out / "result.json").exists():
+                self.head = self.hosts.head(["resume", str(self.out)], 2)
+        elif fault == "b stopped":
+            every = [pid for pid, _ in at.descendants(b.pid)]
+            self.signal(every, signal.SIGSTOP)
+            time.sleep(self.row.lasts)
+            self.signal(every, signal.SIGCONT)
+        elif fault == "cut":
+            self.cut(self.row.lasts)
+        if not struck:
+            raise AssertionError(f"{fault} ended before it was killed")
+
+    def stop_when_back(self):
+        """Waits until both hosts take part again, or still do, and interrupts the run."""
+        time.sleep(self.row.silence + 3)
+        until("both hosts", lambda: at.joined(self.out) == 2, self.head)
+        time.sleep(1)
+        self.signal(at.of_role(self.head, "train"), signal.SIGINT)
+
+    @staticmethod
+    def signal(pids, what):
+        for pid in pids:
+            try:
+                os.kill(pid, what)
+            except ProcessLookupError:
+                pass
+
+    def run(self):
+        until("a checkpoint", lambda: list((self.out / "checkpoints").glob("*/COMPLETE")), self.head)
+        if self.row.cut:
+            self.cut(self.row.cut)
+        moment = self.row.moment * self.row.steps()
+        until(f"{moment:.0f} steps", lambda: at.steps_so_far(self.out) >= moment, self.head)
+        self.strike()
+        if self.row.endless():
+            self.stop_when_back()
+        if end(self.head, self.joined.values()) != (130 if self.row.endless() else 0):
             raise AssertionError("the run failed")
         # A host that hears nothing of the end gives up in time.
-        for name, process in joined.items():
+        for name, process in self.joined.items():
             status = end(process)
-            if status != 0 or left(Path(place), name):
-                raise AssertionError(f"host {name} ended with {status} and left {left(Path(place), name)}")
-        if left(Path(place), "head"):
-            raise AssertionError(f"the head left {left(Path(place), 'head')}")
-        came = result(out)
-        if mode == "free":
-            rows = [line.split(",") for line in (out / "actors.csv").read_text().splitlines()[1:]]
-            counted = sum(int(line[3]) for line in rows)
-            if counted != came["env_steps"] or came["env_steps"] != STEPS["free"]:
-                raise AssertionError(f"{counted} steps are counted, {came['env_steps']} were taken")
-        elif came["weights_sha256"] != expected[mode]:
-            raise AssertionError(f"weights {came['weights_sha256']}; on one host {expected[mode]}")
-        seconds, bytes_ = time.monotonic() - began, hosts.net.bytes
-        print(f"ok      {net:8}{mode:10}{fault:8}{seconds:6.1f} s, {came['restarts']} restarts, {bytes_} bytes", flush=True)
-        return True
-    except AssertionError as error:
-        print(f"FAILED  {net:8}{mode:10}{fault:8}{error}; logs in {place}", flush=True)
-        return False
-    finally:
-        hosts.close()
+            if status != 0 or self.hosts.left(name):
+                raise AssertionError(f"host {name} ended with {status} and left {self.hosts.left(name)}")
+        if self.hosts.left("head"):
+            raise AssertionError(f"the head left {self.hosts.left('head')}")
+        if left := [path for path in self.out.iterdir() if path.name.endswith(".tmp")]:
+            raise AssertionError(f"{left} are left in the run's directory")
 
 
-def refused(place):
-    """The hosts that are not let in, and the words of both sides."""
-    hosts, good = Hosts(place), True
-
-    def check(what, ok, text=""):
-        nonlocal good
-        good &= bool(ok)
-        print(f"{'ok' if ok else 'FAILED':8}{what}{'' if ok else ': ' + text[-600:]}", flush=True)
-
+def play(row, place, cred, expected):
+    """Plays a row. Its line for the CSV, or the reason why it has failed, as text."""
+    place.mkdir()
+    began, played = time.monotonic(), Play(row, place, cred)
     try:
-        other = Path(place) / "other"
-        subprocess.run([RELAY, "credentials", str(other), hosts.net.address["head"]], check=True, stdout=subprocess.DEVNULL)
-        head = hosts.head("lockstep", Path(place) / "refused")
-        log = Path(place) / "head.log"
-        until("a head that listens", lambda: log.exists() and b"waiting for other hosts" in log.read_bytes(), head)
-        for what, words in {
-            "a host without credentials": [hosts.url],
-            "a host with another authority's": [hosts.url, "--credentials", str(other / "join.pem")],
-            "a host that speaks plain TCP": [hosts.url.replace("tls/", "tcp/"), "--insecure"],
-        }.items():
-            (Path(place) / "b.log").unlink(missing_ok=True)
-            status = end(hosts.start("b", [TRESTLE, "join", *words, "--actors", "1", "--wait", "5"]))
-            text = (Path(place) / "b.log").read_text()
-            check(what, status == 1 and ("credentials" in text or "answer" in text), text)
-            # A refusal is said on both sides.
-            if status == 1 and "answer" in text:
-                relay = (Path(place) / "refused/logs/relay.log").read_text(errors="replace")
-                check(f"{what}: the head says so, too", "WARN" in relay and "zenoh" in relay, relay)
-        # A port scanner.
-        scan = f"""
-import os, socket
-for nth in range(40):
-    with socket.create_connection(("{hosts.net.address['head']}", {PORT}), 5) as link:
-        link.settimeout(0.2)
-        try:
-            link.sendall(os.urandom(1 + nth * 997) if nth % 2 else b"GET / HTTP/1.1\\r\\n\\r\\n")
-            link.recv(100)
-        except OSError:
-            pass
-"""
-        status = end(hosts.start("c", [sys.executable, "-c", scan]))
-        check("a port scanner does no harm", status == 0 and head.poll() is None)
-        joined = [hosts.join(name) for name in ("b", "c")]
-        check("the run goes on with those that may join", end(head) == 0, log.read_text())
-        for process in joined:
-            end(process)
+        played.run()
+        came = at.result(played.out)
+        if row.mode != "free" and came["weights_sha256"] != expected[row.mode]:
+            raise AssertionError(f"weights {came['weights_sha256']}; on one host {expected[row.mode]}")
+        if row.mode == "free":
+            counted, asked = at.counted(played.out), came["env_steps"] if row.endless() else row.steps()
+            if (counted, came["env_steps"]) != (asked, asked):
+                raise AssertionError(f"{counted} steps are counted, {came['env_steps']} were taken, {asked} are right")
+        seconds = round(time.monotonic() - began, 1)
+        return [*row.key(), row.moment, row.lasts or row.cut, seconds, came["restarts"], played.hosts.net.bytes]
+    except AssertionError as error:
+        return str(error)
     finally:
-        hosts.close()
-    return good
+        played.hosts.close()
 
 
-def main(args):
-    for path in TRESTLE, RELAY:
-        if not Path(path).is_file():
-            print(f"{path} is not built")
-            return 77
-    if os.geteuid() != 0 or not Path("/dev/net/tun").exists():
-        print("no root, or no /dev/net/tun")
+def passed(path):
+    if not path or not Path(path).exists():
+        return set()
+    with open(path, newline="") as file:
+        return {tuple(line[:5]) for line in list(csv.reader(file))[1:]}
+
+
+def note(path, line):
+    if path:
+        new = not Path(path).exists()
+        with open(path, "a", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerows([COLUMNS, line] if new else [line])
+
+
+def on_one_host(rows, place):
+    """The weights that the rows are to end with."""
+    expected = {}
+    for row in rows:
+        if row.mode != "free" and row.mode not in expected:
+            out = place / f"one-{row.mode}"
+            words = [TRESTLE, *row.training(["--actors", "3", "--out", str(out), "--quiet"])]
+            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+            expected[row.mode] = at.result(out)["weights_sha256"]
+    return expected
+
+
+def tell(row, line, files, results):
+    """Says what has become of a row, and keeps the files of one that has failed."""
+    number = row.number if row.command.startswith("random") else ""
+    head = f"{number:>4} {row.net:8}{row.mode:10}{row.fault:14}"
+    if isinstance(line, str):
+        kept = TOP / "target/hosts" / row.name()
+        shutil.rmtree(kept, ignore_errors=True)
+        shutil.copytree(files, kept, symlinks=True)
+        print(f"FAILED {head}{line}; its files are in {kept}", flush=True)
+    else:
+        note(results, line)
+        seconds, restarts, sent = line[-3:]
+        print(f"ok     {head}{seconds:6.1f} s, {restarts} restarts, {sent} bytes", flush=True)
+    shutil.rmtree(files)
+
+
+def leave(*_):
+    """Asked to end: what is under way is put away."""
+    sys.exit(1)
+
+
+def begin_worker():
+    """A worker ends with its parent, however that ends."""
+    signal.signal(signal.SIGTERM, leave)
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+
+
+def play_all(rows, place, options):
+    """Plays the rows that have not passed yet; how many did, and how many did not."""
+    done = passed(options.results)
+    rows = [row for row in rows if row.key() not in done]
+    expected, good, bad = on_one_host(rows, place), 0, 0
+    with ProcessPoolExecutor(options.jobs, initializer=begin_worker) as pool:
+        try:
+            playing = {pool.submit(play, row, place / row.name(), place / "cred", expected): row for row in rows}
+            for each in as_completed(playing):
+                row, line = playing[each], each.result()
+                bad += isinstance(line, str)
+                good += not isinstance(line, str)
+                tell(row, line, place / row.name(), options.results)
+        except BaseException:
+            # Rows under way end, and no others begin.
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    print(f"{good} of {good + bad} rows ended as they should, {len(done)} had before")
+    return good, bad
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--results")
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, leave)
+    if missing := at.missing():
+        print(missing)
         return 77
     # Not below /tmp, of which each host has its own.
     with tempfile.TemporaryDirectory(prefix="trestle-hosts-", dir="/var/tmp") as place:
-        if args == ["refused"]:
-            return 0 if refused(place) else 1
-        if len(args) == 3:
-            rows = [tuple(args)]
-        elif args == ["long"]:
-            rows = [(net, mode, fault) for net in NETWORKS for mode in MODES for fault in FAULTS]
-        elif not args:
-            rows = SHORT
-        else:
-            print(__doc__)
-            return 2
-        expected = {}
-        for mode in sorted({mode for _, mode, _ in rows} - {"free"}):
-            out = f"{place}/one-{mode}"
-            subprocess.run(training(mode, ["--actors", "3", "--out", out, "--quiet"]), check=True, stdout=subprocess.DEVNULL)
-            expected[mode] = result(out)["weights_sha256"]
-        good = [row(*which, place, expected) for which in rows]
-        if not args:
-            good.append(refused(place))
-        print(f"{sum(good)} of {len(good)} rows ended as they should")
-        if not all(good):
-            subprocess.run(f"mkdir -p target/hosts && cp -r {place} target/hosts/", shell=True, cwd=TOP, check=False)
-            print("what is left of them is in target/hosts")
-        return 0 if all(good) else 1
+        place = Path(place)
+        at.credentials(place / "cred", "10.77.0.1")
+        match options.what:
+            case ["refused"]:
+                return 0 if refused(place) else 1
+            case []:
+                rows = [Row("matrix", nth, *which) for nth, which in enumerate(SHORT)]
+            case ["long"]:
+                every = [(net, mode, fault) for net in NETWORKS for mode in MODES for fault in FAULTS]
+                rows = [Row("matrix", nth, *which) for nth, which in enumerate(every)]
+            case ["random", seed, *count]:
+                rows = [drawn(seed, number) for number in range(int(count[0]) if count else 100)]
+            case [net, mode, fault]:
+                rows = [Row("matrix", 0, net, mode, fault)]
+            case _:
+                parser.print_usage()
+                return 2
+        _, bad = play_all(rows, place, options)
+        if not options.what and not refused(place):
+            bad += 1
+        return 1 if bad else 0
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except socket.error as error:
-        print(error)
-        sys.exit(1)
+    sys.exit(main())

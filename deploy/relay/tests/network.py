@@ -40,7 +40,8 @@ class Network:
         self.delay = self.loss = self.overtake = 0.0
         self.rate = None
         self.cut = False
-        self.bytes = self.packets = 0
+        # Bytes of packets that each host has sent and that were carried.
+        self.sent = dict.fromkeys(self.address.values(), 0)
         self.over = False
         self.devices = {}
         try:
@@ -94,7 +95,8 @@ class Network:
                         break
                     if packet[0] >> 4 != 4:
                         continue
-                    to = self.devices.get(".".join(str(byte) for byte in packet[16:20]))
+                    source, target = (".".join(str(byte) for byte in packet[at : at + 4]) for at in (12, 16))
+                    to = self.devices.get(target)
                     if to is None or self.cut or self.random.random() < self.loss or len(waiting) >= QUEUE:
                         continue
                     now = time.monotonic()
@@ -104,8 +106,7 @@ class Network:
                         at = free + self.delay
                     if self.random.random() < self.overtake:
                         at += 0.03
-                    self.bytes += len(packet)
-                    self.packets += 1
+                    self.sent[source] = self.sent.get(source, 0) + len(packet)
                     nth += 1
                     heapq.heappush(waiting, (at, nth, to, packet))
 
@@ -121,6 +122,11 @@ class Network:
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
+
+    @property
+    def bytes(self):
+        """Bytes of all packets that were carried."""
+        return sum(self.sent.values())
 
     def close(self):
         self.over = True
