@@ -254,9 +254,10 @@ impl Session<'_> {
         }
         let death = Death::new(self.dir, role, fault.map_or(how, How::Lingering));
         if role != Role::Relay {
-            let said = match death.words() {
-                "" => death.to_string(),
-                words => format!("{death}: {words}"),
+            // The last line of its log, where that is an error.
+            let said = match death.last_words.strip_prefix("error: ") {
+                Some(words) => format!("{death}: {words}"),
+                None => death.to_string(),
             };
             self.leave(Ended::Died(death), &said);
             return Ok(None);
@@ -296,6 +297,6 @@ impl Session<'_> {
     /// Asks all processes that still run to leave, and kills those that do not.
     async fn end_all(&mut self, inbox: &mut mpsc::Receiver<Report>) {
         self.children.iter_mut().filter(|child| child.running).for_each(Child::leave);
-        until_gone(&mut self.children, inbox, GRACE).await;
+        until_gone(&mut self.children, inbox, GRACE, &mut |_| {}).await;
     }
 }

@@ -121,7 +121,8 @@ async fn attempt(
     let mut children = children::start_all(prepared, &reports)?;
     let mut replacing = Replacing::new(prepared, &host, &reports);
     let outcome = drive::watch(&mut children, &mut inbox, signals, display, &mut replacing).await;
-    end_all(&mut children, &mut inbox, &host).await;
+    drop(replacing);
+    end_all(&mut children, &mut inbox, &host, prepared).await;
     outcome
 }
 
@@ -134,7 +135,12 @@ enum Report {
 }
 
 /// Ends all that still runs: asks it to leave, once the learner has left of itself, or kills it. No child outlives this.
-async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, host: &impl Host) {
+async fn end_all(
+    children: &mut [Child],
+    inbox: &mut mpsc::Receiver<Report>,
+    host: &impl Host,
+    prepared: &Prepared,
+) {
     let learner_left = children.iter().all(|child| child.role != Role::Learner || !child.running);
     if learner_left {
         children.iter_mut().filter(|child| child.running).for_each(Child::leave);
@@ -142,11 +148,18 @@ async fn end_all(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, hos
         // Before they die: if this process is killed, too, while they are dying, nobody is left to remove anything.
         tracing::warn!("{error}");
     }
-    until_gone(children, inbox, if learner_left { GRACE } else { Duration::ZERO }).await;
+    // The relay's last words are its counts.
+    let mut said = |line: &str| line.strip_prefix(HOST).into_iter().for_each(|row| prepared.tell_host(row));
+    until_gone(children, inbox, if learner_left { GRACE } else { Duration::ZERO }, &mut said).await;
 }
 
-/// Waits for the end of all that still runs, and kills it after `grace`.
-async fn until_gone(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, grace: Duration) {
+/// Waits for the end of all that still runs, and kills it after `grace`. `said` is told what a relay still says.
+async fn until_gone(
+    children: &mut [Child],
+    inbox: &mut mpsc::Receiver<Report>,
+    grace: Duration,
+    said: &mut dyn FnMut(&str),
+) {
     let mut deadline = Box::pin(tokio::time::sleep(grace));
     let mut killed = false;
     while children.iter().any(|child| child.running) {
@@ -161,7 +174,8 @@ async fn until_gone(children: &mut [Child], inbox: &mut mpsc::Receiver<Report>, 
                         child.running = false;
                     }
                 }
-                Some(Report::Progress(_) | Report::Said(_)) => {}
+                Some(Report::Said(line)) => said(&line),
+                Some(Report::Progress(_)) => {}
                 None => return,
             }
         }

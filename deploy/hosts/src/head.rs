@@ -8,7 +8,7 @@
 
 use crate::RelayError;
 use crate::frame::{Frame, Kind};
-use crate::limits::{FAREWELL, FAREWELLS, MAX_HOSTS, TOLD_EVERY};
+use crate::limits::{FAREWELL, FAREWELLS, LAST_WORDS, MAX_HOSTS, TOLD_EVERY};
 use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat};
 use crate::stream::{Counts, Stream};
 use crate::wire::Program;
@@ -523,8 +523,8 @@ impl Head<'_> {
         due
     }
 
-    /// Tells all hosts that this is the end, and whether the run has ended, too, until each has said so itself; for a second at the
-    /// most.
+    /// Tells all hosts that this is the end, and whether the run has ended, too, until each has said so itself or there is no more
+    /// time.
     fn farewell(&mut self, ended: &Result<(), RelayError>) {
         // The order to leave may have been quicker than the learner's last orders.
         if let Err(error) = self.hear_orders() {
@@ -541,12 +541,14 @@ impl Head<'_> {
             tracing::info!(host = host.name, "{counts}");
             (self.tell)(News::Host(host.row(peer, HostState::Left)));
         }
-        for _ in 0..FAREWELLS {
+        if kind == Kind::Over {
+            // They need not wait any longer.
+            let waiting = self.waiting.keys().flat_map(|&peer| (0..FAREWELLS).map(move |_| peer));
+            waiting.for_each(|peer| self.wire.send(peer, farewell.clone()));
+        }
+        let last = Instant::now() + LAST_WORDS;
+        while !self.hosts.is_empty() && Instant::now() < last {
             self.hosts.keys().for_each(|&peer| self.wire.send(peer, farewell.clone()));
-            if kind == Kind::Over {
-                // They need not wait any longer.
-                self.waiting.keys().for_each(|&peer| self.wire.send(peer, farewell.clone()));
-            }
             let until = Instant::now() + FAREWELL;
             while !self.hosts.is_empty() && Instant::now() < until {
                 self.wire.wait(until.saturating_duration_since(Instant::now()));

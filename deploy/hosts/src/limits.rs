@@ -27,10 +27,12 @@ pub const SIGN: Duration = Duration::from_secs(1);
 pub const TOLD_EVERY: Duration = Duration::from_secs(1);
 /// How often an unanswered hello is repeated.
 pub const HELLO: Duration = Duration::from_millis(300);
-/// How often a farewell is said to a peer that does not return it.
+/// How often a farewell is said that nobody returns.
 pub const FAREWELLS: u32 = 5;
-/// How long it may take to return one.
+/// After how long a farewell is said again to a peer that has not returned it.
 pub const FAREWELL: Duration = Duration::from_millis(200);
+/// For how long that is done. On a slow network weights are under way before it. A relay that is told to leave has 5 s.
+pub const LAST_WORDS: Duration = Duration::from_secs(3);
 /// Seconds without a sign of life after which a host counts as lost, if nothing else is asked for.
 pub const SILENCE_S: u32 = 30;
 /// Least such seconds.
