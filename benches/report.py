@@ -86,6 +86,27 @@ def against_sb3(report: dict) -> str:
            f"{versions}; load average before the runs: {min(loads)} to {max(loads)}."
 
 
+def minatar(report: dict) -> str:
+    """Whole loops on MinAtar's Breakout; ratios are to Stable-Baselines3."""
+    names = {"sb3": "Stable-Baselines3", "cleanrl": "a loop like CleanRL's", "trestle": "Trestle", "trestle_lag": "Trestle, `run.lag = 1`"}
+    rows = [{"loop": title, "steps": report[name], "ratio": report.get(f"{name}_ratio", 1.0), "cpu_us": report[f"{name}_cpu_us"],
+             "cpu_ratio": report.get(f"{name}_cpu_ratio", 1.0)} for name, title in names.items()]
+    columns = {"loop": "loop", "steps": "steps/s", "ratio": "ratio", "cpu_us": "CPU us a step", "cpu_ratio": "ratio by CPU time"}
+    return f"{table(rows, columns)}\n\n{conditions(report)}"
+
+
+def sampling(ours: dict, theirs: dict) -> str:
+    """Drawing from a large replay beside cpprb."""
+    rows = []
+    for other in theirs["rows"]:
+        size = 1 if other["element"] == "u8" else 4
+        for row in ours["rows"]:
+            if (row["op"], row["dim"], row["bytes"], row["stored"]) == ("sample", other["dim"], size, other["stored"]):
+                rows.append(row | {"cpprb": other["ns"], "ratio": other["ns"] / row["ns"]})
+    columns = {"dim": "features", "bytes": "bytes each", "stored": "stored", "ns": "Trestle, ns", "cpprb": "cpprb, ns", "ratio": "times ours"}
+    return f"{table(rows, columns)}\n\n{conditions(ours)}\n\n{conditions(theirs)}"
+
+
 # Of each table: the measurements that it needs, and how it is made of them.
 TABLES = {
     "step": (["step"], lambda step: measured(step, {
@@ -93,7 +114,7 @@ TABLES = {
         "limit_us": "limit, us", "times_limit": "times the limit", "peak_gflops": "peak, GFLOP/s"})),
     "threads": (["threads"], lambda threads: measured(threads, {
         "inputs": "inputs", "conv": "convolution", "hidden": "hidden", "batch": "batch", "threads": "threads", "us": "us",
-        "gain": "times as fast as one"})),
+        "gain": "times as fast as one", "round_trip_ns": "round trip, ns"})),
     "peers": (["step", "step_torch", "step_jax"], peers),
     "infer": (["infer"], lambda infer: measured(infer, {
         "inputs": "inputs", "hidden": "hidden", "isa": "instructions", "us": "us"})),
@@ -116,6 +137,10 @@ TABLES = {
     "loop": (["loop"], whole_runs),
     "demonstration": (["demonstration"], lambda runs: measured(runs, {
         "mentor": "mentor transitions", "env_steps": "environment steps", "steps_per_cpu_s": "steps per CPU second", "relative": "relative to ten"})),
+    "sampling": (["replay", "sampling"], sampling),
+    "minatar": (["minatar"], minatar),
+    "slopes": (["slopes"], lambda slopes: measured(slopes, {
+        "quantity": "quantity", "cost": "cost", "size": "size", "us": "us", "expected": "expected slope", "slope": "slope"})),
     "maze30": (["maze30"], against_sb3),
 }
 

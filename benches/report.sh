@@ -47,14 +47,17 @@ keep() {
 mkdir -p "$OUT"
 if [[ $measure == yes ]]; then
     cargo build --release -p trestle -p trestle-bench
-    for name in step threads infer replay mentor tick free message weights idle memory loop demonstration; do
+    for name in step threads infer replay mentor tick free message weights idle memory loop demonstration slopes; do
         keep "$name" "$TARGET/release/trestle-bench" "$name" --json
     done
     if [[ $peers == yes ]]; then
-        venv "$PEERS_VENV" benches/peers/requirements.txt
+        venv "$PEERS_VENV" benches/peers/requirements-minatar.txt
+        "$PEERS_VENV/bin/pip" install --quiet ./deploy/python
         venv "$JAX_VENV" benches/peers/requirements-jax.txt
         keep step_torch "$PEERS_VENV/bin/python" benches/peers/step_torch.py
         keep step_jax "$JAX_VENV/bin/python" benches/peers/step_jax.py
+        keep sampling "$PEERS_VENV/bin/python" benches/peers/sampling.py
+        keep minatar "$PEERS_VENV/bin/python" benches/peers/compare_minatar.py --peer "$PEERS_VENV/bin/python"
         keep maze30 benches/peers/compare_maze30.py --trestle "$TARGET/release/trestle" --venv "$PEERS_VENV"
     fi
 fi

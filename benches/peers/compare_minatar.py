@@ -3,7 +3,8 @@
 prints JSON, and a line to stderr. See README.md.
 
 Run it with a Python that has Trestle's package, and MinAtar. Rounds take turns. The peers have one thread for their arithmetic,
-and so has Trestle unless ``--threads`` says otherwise.
+and so has Trestle unless ``--threads`` says otherwise. Trestle runs twice: in lockstep, in which actor and learner take turns, and with
+``run.lag = 1``, in which they work at the same time.
 """
 
 import argparse
@@ -39,9 +40,10 @@ def run(command: list[Any]) -> tuple[str, float]:
     return done.stdout, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def trestle(out: Path, steps: int, threads: int) -> dict[str, float]:
+def trestle(out: Path, steps: int, threads: int, lag: int) -> dict[str, float]:
     """A run of ``steps`` environment steps; its processor time is that of all its processes from their start."""
-    sets = [word for key, value in (TRESTLE | {"learner.threads": str(threads)}).items() for word in ("--set", f"{key}={value}")]
+    settings = TRESTLE | {"learner.threads": str(threads), "run.lag": str(lag)}
+    sets = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     _, cpu_s = run([sys.executable, "-m", "trestle", "train", "gym", "--algo", "dqn", "--env-steps", steps, "--seed", 1, "--quiet",
                     "--out", out, *sets])
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
@@ -71,20 +73,22 @@ def main() -> None:
                 versions |= peer["versions"]
                 line[how] = args.peer_steps / peer["wall_s"]
                 line[f"{how}_cpu_us"] = 1e6 * peer["cpu_s"] / args.peer_steps
-            ours = trestle(Path(scratch) / str(at), args.steps, args.threads)
-            line["trestle"] = ours["env_steps"] / ours["wall_s"]
-            line["trestle_cpu_us"] = 1e6 * ours["cpu_s"] / ours["env_steps"]
-            for how in ("sb3", "cleanrl"):
-                line[f"{how}_ratio"] = line["trestle"] / line[how]
-                line[f"{how}_cpu_ratio"] = line[f"{how}_cpu_us"] / line["trestle_cpu_us"]
+            for lag, name in enumerate(("trestle", "trestle_lag")):
+                ours = trestle(Path(scratch) / f"{name}-{at}", args.steps, args.threads, lag)
+                line[name] = ours["env_steps"] / ours["wall_s"]
+                line[f"{name}_cpu_us"] = 1e6 * ours["cpu_s"] / ours["env_steps"]
+            for how in ("cleanrl", "trestle", "trestle_lag"):
+                line[f"{how}_ratio"] = line[how] / line["sb3"]
+                line[f"{how}_cpu_ratio"] = line["sb3_cpu_us"] / line[f"{how}_cpu_us"]
             found.append(line)
             log(f"round {at + 1} of {args.rounds}: " + ", ".join(f"{key} {value:.1f}" for key, value in line.items()))
             loads.append(os.getloadavg()[0])
     middle = {key: statistics.median(line[key] for line in found) for key in found[0]}
-    machine = {"cpu": cpu_model(), "cores": os.cpu_count(), "kernel": platform.release(), "load_average": [round(x, 2) for x in loads]}
+    machine = {"cpu": cpu_model(), "cores": os.cpu_count(), "kernel": platform.release(), "load_average": round(max(loads), 2)}
     print(json.dumps({"name": "minatar", "machine": machine, "versions": versions, "threads": args.threads, **middle, "rounds": found}, indent=2))
-    log("MinAtar Breakout: Trestle {trestle:.0f} steps/s; Stable-Baselines3 {sb3:.0f}, ratio {sb3_ratio:.1f} ({sb3_cpu_ratio:.1f} by "
-        "processor time); CleanRL's loop {cleanrl:.0f}, ratio {cleanrl_ratio:.1f} ({cleanrl_cpu_ratio:.1f})".format(**middle))
+    log("MinAtar Breakout, steps/s: Stable-Baselines3 {sb3:.0f}; CleanRL's loop {cleanrl:.0f}, ratio {cleanrl_ratio:.1f}; Trestle {trestle:.0f}, "
+        "ratio {trestle_ratio:.1f} ({trestle_cpu_ratio:.1f} by processor time); with run.lag = 1 {trestle_lag:.0f}, ratio "
+        "{trestle_lag_ratio:.1f}".format(**middle))
 
 
 if __name__ == "__main__":

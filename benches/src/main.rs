@@ -4,7 +4,8 @@
 //! - `threads`: a gradient step that several threads share, in wall time;
 //! - `tick` (with `message` and `weights`), `free`: messages, in wall time, with peers that are processes of this program;
 //! - `idle`, `memory`: what the processes of `trestle` take while they wait, and at most;
-//! - `loop`: whole runs of `trestle`; `demonstration`: such runs with demonstrations of different sizes.
+//! - `loop`: whole runs of `trestle`; `demonstration`: such runs with demonstrations of different sizes;
+//! - `slopes`: the cost of a step as parameters, batch, features, stored transitions, mentor states and actors grow by powers of ten.
 //!
 //! Every figure is a median after a warm-up, and what is to be compared takes turns. `clock`, `exchange` and `report`
 //! hold how to measure; `peer` is the other end of `exchange`; `program` finds `trestle`.
@@ -23,6 +24,7 @@ mod replay;
 mod report;
 mod run_loop;
 mod sleeps;
+mod slopes;
 mod step;
 mod threads;
 mod tick;
@@ -78,6 +80,8 @@ enum Benchmark {
     Loop,
     /// Whole runs with demonstrations of 10 to 100,000 transitions
     Demonstration,
+    /// How the cost of a step grows with each quantity
+    Slopes,
 }
 
 impl Benchmark {
@@ -97,6 +101,7 @@ impl Benchmark {
             Benchmark::Memory => memory::run(effort),
             Benchmark::Loop => run_loop::run(effort),
             Benchmark::Demonstration => demonstration::run(effort),
+            Benchmark::Slopes => slopes::run(effort),
         }?;
         let name = self.to_possible_value().map(|value| value.get_name().to_string());
         Ok(Report { name: name.unwrap_or_default(), machine, rows })

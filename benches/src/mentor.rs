@@ -111,7 +111,7 @@ impl Seen {
 }
 
 /// The query for the mentor states similar to a state, and the scan of all of them.
-fn similar<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>> {
+pub(super) fn similar<'a>(world: &World, demonstration: &'a Demonstration) -> Vec<Case<'a>> {
     let (dim, states) = (world.dim, demonstration.states());
     let index = Similarity::new(states.to_vec(), dim, E_TH);
     let (mut stack, mut hits) = (Vec::new(), Vec::new());
@@ -181,7 +181,12 @@ fn half_feasible(order: &Order, dim: usize) -> AnnotationTable {
 }
 
 /// Bridge search per stored transition, for each number of stored transitions; they take turns.
-fn bridge(dim: usize, mentor: usize, jitter: f32, sizes: &[usize]) -> Result<Vec<(usize, f64, Option<f64>)>> {
+pub(super) fn bridge(
+    dim: usize,
+    mentor: usize,
+    jitter: f32,
+    sizes: &[usize],
+) -> Result<Vec<(usize, f64, Option<f64>)>> {
     let world = World::new(dim, mentor, jitter);
     let demonstration = world.demonstration(mentor)?;
     let order = demonstration.order();

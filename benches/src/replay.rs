@@ -27,7 +27,8 @@ const EPISODE: usize = 200;
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let mut cases = Vec::new();
     for (row, stored) in CASES {
-        cases.extend(pair(row, effort.pick(stored, stored / 100))?);
+        let stored = effort.pick(stored, stored / 100);
+        cases.extend([storing(row, stored)?, drawing(row, stored)?]);
     }
     let found = medians(&mut cases, effort)?;
     let each = |ns: Option<f64>| ns.map(|ns| ns / BATCH as f64);
@@ -50,30 +51,40 @@ fn states(dim: usize) -> Vec<f32> {
     (0..STATES * dim).map(|at| (mix(at as u64) >> 63) as f32).collect()
 }
 
-/// A full replay that a batch is pushed to, and one that a batch is drawn from.
-fn pair(row: RowKind, stored: usize) -> Result<[Case<'static>; 2]> {
-    let dim = row.dim;
-    let states = states(dim);
-    let push = move |replay: &mut Replay, count: usize| {
-        for at in replay.next_index() as usize..replay.next_index() as usize + count {
-            let [obs, next_obs] = [at, at + 1].map(|at| &states[at % STATES * dim..][..dim]);
-            let flags = if at.is_multiple_of(EPISODE) { FIRST } else { 0 };
-            replay.push(&Transition { obs, next_obs, action: 0, reward: 0.0, flags }, 0, NONE);
-        }
-    };
-    let mut replay = Replay::new(stored, row)?;
-    push(&mut replay, stored);
+/// Stores `count` transitions of a walk round `states`.
+fn push(replay: &mut Replay, states: &[f32], count: usize) {
+    let dim = replay.obs_dim();
+    for at in replay.next_index() as usize..replay.next_index() as usize + count {
+        let [obs, next_obs] = [at, at + 1].map(|at| &states[at % STATES * dim..][..dim]);
+        let flags = if at.is_multiple_of(EPISODE) { FIRST } else { 0 };
+        replay.push(&Transition { obs, next_obs, action: 0, reward: 0.0, flags }, 0, NONE);
+    }
+}
 
-    let mut written = replay.clone();
-    let store = move || {
-        push(&mut written, BATCH);
+/// A replay of `stored` transitions, full.
+fn full(row: RowKind, stored: usize) -> Result<Replay> {
+    let mut replay = Replay::new(stored, row)?;
+    push(&mut replay, &states(row.dim), stored);
+    Ok(replay)
+}
+
+/// Storing a batch in a full replay.
+fn storing(row: RowKind, stored: usize) -> Result<Case<'static>> {
+    let (mut replay, states) = (full(row, stored)?, states(row.dim));
+    Ok(Box::new(move || {
+        push(&mut replay, &states, BATCH);
         Ok(())
-    };
+    }))
+}
+
+/// Drawing a batch from a full replay.
+pub(super) fn drawing(row: RowKind, stored: usize) -> Result<Case<'static>> {
+    let (replay, dim) = (full(row, stored)?, row.dim);
     let encoding = Encoding::Scale { low: vec![0.0; dim], high: vec![1.0; dim] };
     let mut rng = stream(1, Purpose::Replay, 0);
     let mut slots = Vec::new();
     let (mut x, mut next) = (vec![0.0; BATCH * dim], vec![0.0; BATCH * dim]);
-    let sample = move || {
+    Ok(Box::new(move || {
         replay.sample(&mut rng, BATCH, &mut slots);
         for (row, &slot) in slots.iter().enumerate() {
             encoding.encode_row(replay.obs(slot as usize), &mut x[row * dim..][..dim]);
@@ -81,6 +92,5 @@ fn pair(row: RowKind, stored: usize) -> Result<[Case<'static>; 2]> {
         }
         black_box((&x, &next));
         Ok(())
-    };
-    Ok([Box::new(store), Box::new(sample)])
+    }))
 }

@@ -105,7 +105,7 @@ fn traffic(kernels: Kernels, n: usize) -> Case<'static> {
 /// Floating-point operations of a step's matrix products, a multiply-add being two: the forward pass of `forward_rows`
 /// rows in the online network and of `batch` rows in the target network, the gradient of every weight (of the last
 /// layer's for the taken action alone) and of every hidden unit for `batch` rows.
-fn flops(layout: &Layout, batch: usize, forward_rows: usize) -> usize {
+pub(super) fn flops(layout: &Layout, batch: usize, forward_rows: usize) -> usize {
     let last = layout.layers().len() - 1;
     let products = |l: usize| {
         let layer = layout.layers()[l];

@@ -1,10 +1,14 @@
-//! `threads`: one gradient step on the fastest instruction set, shared by several threads.
+//! `threads`: one gradient step on the fastest instruction set, shared by several threads; and how far apart the processors are.
 
 use super::Effort;
 use super::clock::{Case, Clock, median, samples};
 use super::report::Row;
 use super::step::{conv, layout};
 use anyhow::Result;
+use std::hint::spin_loop;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::Instant;
 use trestle_bench::gradient::GradientStep;
 use trestle_qnet::{Kernels, Threads};
 
@@ -20,6 +24,41 @@ const SIZES: [(&[usize], usize); 6] = [
 /// Threads: one, and as many as are compared with it.
 const COUNTS: [usize; 2] = [1, 2];
 
+/// Turns between two threads that make one sample, and samples: as many as figures need, and for a quick look.
+const TURNS: usize = 10;
+const TRIPS: [usize; 2] = [10_000, 10];
+
+/// The least time in which a cache line goes from one processor to another and back, nanoseconds; none with a single processor.
+fn round_trip(effort: Effort) -> Option<f64> {
+    if thread::available_parallelism().map_or(1, usize::from) < 2 {
+        return None;
+    }
+    let (turns, turn) = (TURNS * effort.pick(TRIPS[0], TRIPS[1]), AtomicUsize::new(0));
+    let wait_for = |wanted: usize| {
+        while turn.load(Ordering::Acquire) != wanted {
+            spin_loop();
+        }
+    };
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            for at in 0..turns {
+                wait_for(2 * at + 1);
+                turn.store(2 * at + 2, Ordering::Release);
+            }
+        });
+        let mut least = f64::INFINITY;
+        for first in (0..turns).step_by(TURNS) {
+            let start = Instant::now();
+            for at in first..first + TURNS {
+                turn.store(2 * at + 1, Ordering::Release);
+                wait_for(2 * at + 2);
+            }
+            least = least.min(start.elapsed().as_nanos() as f64 / TURNS as f64);
+        }
+        Some(least)
+    })
+}
+
 pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
     let mut cases: Vec<Case<'_>> = Vec::new();
     let mut used = Vec::new();
@@ -32,7 +71,9 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
             cases.push(Box::new(move || step.run()));
         }
     }
+    let before = round_trip(effort);
     let found = samples(&mut cases, effort, Clock::Wall)?;
+    let trip = before.zip(round_trip(effort)).map(|(before, after)| before.max(after));
     let mut rows = Vec::new();
     for ((sizes, batch), (found, used)) in
         SIZES.into_iter().zip(found.chunks(COUNTS.len()).zip(used.chunks(COUNTS.len())))
@@ -49,7 +90,8 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
                     .with("batch", batch)
                     .with("threads", threads)
                     .measured("us", middle(samples).map(|ns| ns / 1e3))
-                    .measured("gain", middle(&gains)),
+                    .measured("gain", middle(&gains))
+                    .measured("round_trip_ns", trip),
             );
         }
     }

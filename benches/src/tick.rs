@@ -62,6 +62,12 @@ pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
+/// Microseconds of a whole tick over shared memory, with one transition of each actor.
+pub(super) fn tick_us(actors: u32, effort: Effort) -> Result<f64> {
+    let mut both = Both::new(Setup { actors, rollout: 1, burst: 1, mentor: true, free: false })?;
+    Ok(pair(&mut both, true, effort)?.0[0])
+}
+
 /// Batches in bursts from one actor.
 pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();

@@ -91,6 +91,17 @@ fn functions() {
 }
 
 #[test]
+fn slopes() {
+    let rows = rows("slopes", &["size", "us"]);
+    assert_eq!((distinct(&rows, "quantity"), distinct(&rows, "cost")), (6, 5), "{rows:?}");
+    for row in &rows {
+        assert_eq!(row["slope"].is_null(), row["expected"].is_null(), "{row}");
+    }
+    // The first of each has none before it.
+    assert_eq!(rows.iter().filter(|row| row["slope"].is_null()).count(), 7, "{rows:?}");
+}
+
+#[test]
 fn messages() {
     let tick = rows("tick", &["actors", "rollout", "us", "socket_us", "sleeps", "socket_sleeps"]);
     assert!(distinct(&tick, "actors") > 1 && distinct(&tick, "rollout") > 1, "{tick:?}");

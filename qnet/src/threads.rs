@@ -7,7 +7,7 @@
 //! processor.
 //!
 //! A thread without work looks for it for up to a tenth of a millisecond, since a step has several stages one after the other, and then
-//! sleeps until it is woken.
+//! sleeps until it is woken. A stage that is long enough for that wakes it. While it is awake, it is also called to shorter ones.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -16,9 +16,11 @@ use std::thread::{self, JoinHandle, Thread};
 
 use trestle_proto::limits::MAX_THREADS;
 
-/// Multiply-adds that a thread must have to do for it to be called: some twenty microseconds of work on AVX-512, several times the cost of
-/// handing it over. Measured by `trestle-bench threads`.
+/// Multiply-adds that a thread must have to do for it to be woken: some thirty microseconds of work on AVX-512. Measured by
+/// `trestle-bench threads`.
 const LEAST: usize = 1 << 22;
+/// The same for a thread that is awake: some two microseconds, twice the cost of handing work over.
+const LEAST_AWAKE: usize = 1 << 18;
 
 /// How often a waiting thread looks before it sleeps: up to a tenth of a millisecond.
 const LOOKS: usize = 4000;
@@ -95,12 +97,19 @@ impl Threads {
         self.crew.as_ref().map_or(1, |crew| crew.others.len() + 1)
     }
 
+    /// How many threads have enough to do with so many multiply-adds, where all of them are `awake` or some sleep.
+    fn parts(&self, multiply_adds: usize, awake: bool) -> usize {
+        let least = if awake { self.least.min(LEAST_AWAKE) } else { self.least };
+        (multiply_adds / least).min(self.count())
+    }
+
     /// Does `work`, which has so many multiply-adds, by as many threads as have enough to do.
     pub(crate) fn run<W: Work>(&self, multiply_adds: usize, work: W) {
-        let parts = (multiply_adds / self.least).min(self.count());
-        let Some(crew) = self.crew.as_ref().filter(|_| parts > 1) else {
+        let Some(crew) = &self.crew else { return work.run() };
+        let parts = self.parts(multiply_adds, crew.is_awake());
+        if parts < 2 {
             return work.run();
-        };
+        }
         let (mut all, mut rest) = (Vec::with_capacity(parts), work);
         for part in 0..parts - 1 {
             let (first, others) = rest.split(part, parts);
@@ -148,6 +157,8 @@ struct Shared {
     taken: Vec<AtomicBool>,
     /// How often each of the other threads has been called.
     calls: Vec<AtomicUsize>,
+    /// How many of the other threads work or look for work.
+    awake: AtomicUsize,
     /// The other threads that have the job.
     running: AtomicUsize,
     panicked: AtomicBool,
@@ -189,6 +200,11 @@ impl Crew {
             crew.others.push(started.map_err(|source| ThreadsError { index, count, source })?);
         }
         Ok(crew)
+    }
+
+    /// Whether no thread sleeps.
+    fn is_awake(&self) -> bool {
+        self.shared.awake.load(Ordering::Relaxed) == self.others.len()
     }
 
     /// Calls `function` with each number below `parts`, which are 2 to the number of threads, at the same time if it can.
@@ -250,9 +266,15 @@ impl Drop for Finish<'_> {
 #[allow(unsafe_code)]
 fn work_when_called(shared: &Shared, index: usize) {
     let calls = &shared.calls[index - 1];
-    let mut seen = 0;
+    let (mut seen, mut awake) = (0, false);
     loop {
-        wait(|| calls.load(Ordering::Acquire) != seen);
+        let is_called = || calls.load(Ordering::Acquire) != seen;
+        if !awake || !look(LOOKS, is_called) {
+            shared.awake.fetch_sub(usize::from(awake), Ordering::Relaxed);
+            sleep(is_called);
+            shared.awake.fetch_add(1, Ordering::Relaxed);
+            awake = true;
+        }
         seen = calls.load(Ordering::Acquire);
         if shared.over.load(Ordering::Relaxed) {
             return;
@@ -280,9 +302,14 @@ fn work_when_called(shared: &Shared, index: usize) {
 /// Returns once `until` holds. The thread that makes it hold unparks this one.
 fn wait(until: impl Fn() -> bool) {
     if !look(LOOKS, &until) {
-        while !until() {
-            thread::park();
-        }
+        sleep(until);
+    }
+}
+
+/// Sleeps until `until` holds.
+fn sleep(until: impl Fn() -> bool) {
+    while !until() {
+        thread::park();
     }
 }
 
@@ -370,6 +397,17 @@ mod tests {
         locked(&seen).clear();
         threads.run(2000, work());
         assert_eq!(locked(&seen).len(), 2, "as many parts as have enough to do");
+    }
+
+    #[test]
+    fn less_work_is_enough_for_threads_that_are_awake() {
+        let threads = Threads::exactly(2, 2, LEAST).unwrap();
+        let parts = |work: usize| [false, true].map(|awake| threads.parts(work, awake));
+        assert_eq!(parts(2 * LEAST_AWAKE - 1), [0, 1]);
+        assert_eq!(parts(2 * LEAST_AWAKE), [0, 2]);
+        assert_eq!(parts(2 * LEAST), [2, 2]);
+        // Nobody has called them yet, however long they have been there.
+        assert!(!threads.crew.as_ref().unwrap().is_awake());
     }
 
     #[test]
