@@ -370,7 +370,7 @@ impl Prepared {
     fn give_up(&self) -> Result<()> {
         let root = self.dir.root();
         if self.made {
-            fs::remove_dir_all(root).with_context(|| format!("cannot remove {}", root.display()))?;
+            discard(root)?;
         } else {
             empty(root).with_context(|| format!("cannot empty {}", root.display()))?;
         }
@@ -425,8 +425,10 @@ impl Prepared {
 
 impl Drop for Prepared {
     fn drop(&mut self) {
+        // Whatever this process has not heard of yet: a run that has saved something is not taken away.
         if self.fresh
             && !self.began.get()
+            && nothing_saved(self.dir.root())
             && let Err(error) = self.give_up()
         {
             tracing::error!("{error:#}");

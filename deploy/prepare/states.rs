@@ -11,6 +11,7 @@ use super::aside::{discard, removed, replaced};
 use super::fence::try_lock;
 use crate::TRANSPORT;
 use anyhow::{Context, Result};
+use std::ffi::OsStr;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -18,7 +19,7 @@ use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RunDir, is_temporary,
+    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RESULT_FILE, RunDir, is_temporary,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
@@ -78,10 +79,12 @@ pub(super) fn remove_temporaries(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Removes all that is in `dir`.
+/// Removes all that is in `dir`, in an order in which the next command can make something of what a kill leaves: a run to go on
+/// with until its checkpoints have gone, and an untrained one until its plan has.
 pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
-    for entry in fs::read_dir(dir)? {
-        let entry = entry?;
+    let mut entries = fs::read_dir(dir)?.collect::<std::io::Result<Vec<_>>>()?;
+    entries.sort_by_key(|entry| turn(&entry.file_name()));
+    for entry in entries {
         if entry.file_type()?.is_dir() {
             fs::remove_dir_all(entry.path())?
         } else {
@@ -89,6 +92,16 @@ pub(super) fn empty(dir: &Path) -> std::io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// When `empty` removes the entry `name`.
+fn turn(name: &OsStr) -> u8 {
+    match name.to_str() {
+        Some(RESULT_FILE) => 0,
+        Some(CHECKPOINTS_DIR) => 1,
+        Some(PLAN_FILE) => 3,
+        _ => 2,
+    }
 }
 
 /// Puts right what a killed `--overwrite` left beside `root`; returns what the user should know. What a living process is
@@ -216,6 +229,26 @@ mod tests {
         assert!(!nothing_saved(root));
         fs::remove_file(root.join("plan.bin")).unwrap();
         assert!(!is_unborn(root) && !is_unborn(&root.join("absent")));
+    }
+
+    /// A kill may come between any two removals.
+    #[test]
+    fn what_is_emptied_is_in_a_known_state_until_it_is_empty() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        let mut names = ["config.toml", "plan.bin", "evals.csv", "result.json", "timeline.jsonl", "x.log"];
+        names.iter().for_each(|name| write(root.join(name)));
+        assert!(!nothing_saved(root));
+        names.sort_by_key(|name| turn(OsStr::new(name)));
+        for name in names {
+            fs::remove_file(root.join(name)).unwrap();
+            assert!(nothing_saved(root), "after {name}");
+        }
+        for name in ["plan.bin", "logs/learner.log", "checkpoints/000000000001/COMPLETE"] {
+            write(root.join(name));
+        }
+        empty(root).unwrap();
+        assert_eq!(fs::read_dir(root).unwrap().count(), 0);
     }
 
     /// Every state that a kill in the middle of `--overwrite` can leave ends with the one run that counts.

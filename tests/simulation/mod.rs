@@ -41,7 +41,7 @@ mod world;
 
 use disk::Disk;
 use processes::{places, result, user};
-use schedule::{Flaw, Scene, Schedule};
+use schedule::{Fault, Flaw, Scene, Schedule, What};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -53,7 +53,7 @@ use trestle_actor::env::registry;
 use trestle_learner::checkpoint::Manifest;
 use trestle_proto::config::{self, Config};
 use trestle_proto::rundir::{CHECKPOINTS_DIR, RunDir};
-use world::World;
+use world::{Role, World};
 
 /// The directory of the disk in a world's.
 const DISK: &str = "disk";
@@ -337,6 +337,21 @@ fn whatever_befalls_a_run_it_ends_as_an_undisturbed_one() {
         println!("{}", play_seed(first).log.join("\n"));
     }
     println!("{count} schedules from seed {first} on, none of which failed, in {:.0} s", seconds());
+}
+
+/// A start that is stopped before it trains takes away what it has made. Killed at any step of that, it leaves nothing that the next
+/// command cannot begin with.
+#[test]
+fn a_start_may_be_killed_while_it_is_given_up() {
+    for stop in [110, 150] {
+        for later in 1..100 {
+            let kill = Fault { after: stop + later, what: What::Kill(Role::Supervisor) };
+            let faults = vec![Fault { after: stop, what: What::Stop }, kill];
+            let schedule = Schedule { faults, ..Schedule::calm(Scene::Run, 0) };
+            let played = play(&schedule, Some(undisturbed(Scene::Run, 0)));
+            assert_eq!(played.failure, None, "{:?}: {:#?}", schedule.faults, played.log);
+        }
+    }
 }
 
 /// What was once wrong is found where it is put back, and by how it shows.
