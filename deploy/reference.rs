@@ -13,6 +13,8 @@ use trestle_learner::checkpoint::Taken;
 use trestle_learner::session::Session;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::run::mentor_of;
+use trestle_proto::batch::Batch;
+use trestle_proto::observe::Part;
 
 /// Trains the prepared run in this process.
 pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result<Ended> {
@@ -35,8 +37,7 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     prepared.commit()?;
 
     let stopped = || stop.load(Ordering::Relaxed);
-    let acting =
-        reference::run::<_, _, anyhow::Error>(experiment, &mut workers, mentor, &mut session, stopped)?;
+    let acting = reference::run(experiment, &mut workers, mentor, &mut session, save_before_last, stopped)?;
     let snapshots = workers.iter().map(Worker::snapshot).collect::<Result<Vec<_>, _>>()?;
     let interrupted = !session.done();
     let taken = if interrupted { Taken::Amid } else { Taken::Last };
@@ -45,6 +46,17 @@ pub(crate) fn run(prepared: &Prepared, held: HeldSignals, quiet: bool) -> Result
     let result = session.finish(interrupted)?;
     display.finish();
     Ok(if interrupted { Ended::Interrupted(Some(result)) } else { Ended::Complete(result) })
+}
+
+/// Writes the checkpoint that a longer run goes on from, if the tick of these batches is the run's last: nothing of it has been
+/// learnt.
+fn save_before_last(session: &mut Session, workers: &[Worker], batches: &[Batch]) -> Result<()> {
+    if !session.ends_within(batches.iter()) {
+        return Ok(());
+    }
+    let snapshots = workers.iter().map(Worker::snapshot).collect::<Result<Vec<_>, _>>()?;
+    let parts: Vec<Part<'_>> = batches.iter().map(Part::of).collect();
+    Ok(session.checkpoint(None, &snapshots, Taken::BeforeLast(&parts))?)
 }
 
 /// The mentor of the run, if its algorithm has one, from the demonstration in the run's directory.

@@ -56,6 +56,19 @@ fn dqn_with_lag() {
     equals(&["--algo", "dqn", "--set", "run.lag=1"]);
 }
 
+/// A run of one process, which goes on in several.
+#[test]
+fn the_reference() {
+    let place = Place::new();
+    for (name, more) in [("plain", &["--actors", "2"][..]), ("lag", &["--set", "run.lag=1"])] {
+        let args = [&ARGS[..], more, &["--algo", "dqn"]].concat();
+        let straight = place.train(&format!("{name}-straight"), &[&args[..], &["--episodes", "7"]].concat());
+        place.train(name, &[&args[..], &["--mode", "reference", "--episodes", "4"]].concat());
+        start(&["resume", &place.path(name), "--quiet", "--episodes", "7"]).finish().ok();
+        assert_eq!(Trace::of(&place.run(name)), straight, "{name}");
+    }
+}
+
 #[test]
 fn two_actors_with_dqn() {
     equals(&["--algo", "dqn", "--actors", "2"]);

@@ -189,6 +189,25 @@ fn where_nothing_is_saved_a_run_begins() {
 }
 
 #[test]
+fn a_sweep_or_a_torn_configuration_is_named() {
+    let place = Place::new();
+    fs::create_dir(place.path("sweep")).unwrap();
+    place.write("sweep/sweep.json", "{}");
+    let root = place.path("sweep");
+    let next = format!("`trestle sweep --resume --out {root}`");
+    start(&["resume", &root]).finish().refused(&["holds a sweep and not one run", &next]);
+    place.train("run", &ARGS);
+    let path = place.path("run/config.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.split("[env]").next().unwrap()).unwrap();
+    start(&["resume", &place.path("run"), "--episodes", "30"]).finish().refused(&[
+        "--resume: a run with the settings in",
+        &path,
+        "env.map_text is missing",
+    ]);
+}
+
+#[test]
 fn a_run_that_stopped_when_solved_goes_on_only_if_told_to() {
     let place = Place::new();
     let args = [&ARGS[..], &["--set", "eval.threshold=-4000"]].concat();

@@ -66,15 +66,17 @@ pub trait Learner {
 }
 
 /// Trains the run of `experiment` with `actors` until `learner` is done or `stop` says so. `mentor` is there exactly where the algorithm
-/// has one. Returns what the actors would act with in the next tick.
+/// has one. In each tick `collected` sees learner, actors and batches before anything is learnt of them. Returns what the actors
+/// would act with in the next tick.
 ///
 /// # Errors
-/// Whatever actors, learner or mentor refuse.
+/// Whatever actors, learner, mentor or `collected` refuse.
 pub fn run<A, L, E>(
     experiment: &Experiment,
     actors: &mut [A],
     mut mentor: Option<Mentor>,
     learner: &mut L,
+    mut collected: impl FnMut(&mut L, &[A], &[Batch]) -> Result<(), E>,
     stop: impl Fn() -> bool,
 ) -> Result<Acting, E>
 where
@@ -94,6 +96,7 @@ where
         for (actor, batch) in actors.iter_mut().zip(&mut batches) {
             actor.collect(&acting, &order(experiment, tick), batch)?;
         }
+        collected(learner, actors, &batches)?;
         if lag {
             acting.clone_from(learner.agent().acting());
         }

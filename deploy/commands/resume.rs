@@ -4,6 +4,7 @@ use super::train;
 use crate::cli::Resume;
 use crate::prepare::{self, Existing};
 use crate::status::ExitCode;
+use crate::sweep::manifest::Manifest;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::env::registry;
 use trestle_link::logging;
@@ -16,6 +17,11 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
     // What a killed --overwrite has left may be the very run.
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));
     let path = RunDir::new(&root).config();
+    ensure!(
+        path.exists() || !Manifest::path(&root).exists(),
+        "{0} holds a sweep and not one run; accepted: `trestle sweep --resume --out {0}`, which goes on with all of its runs",
+        root.display()
+    );
     // A start writes the configuration first, and what belongs to it before the plan.
     ensure!(
         path.exists() && !prepare::is_unborn(&root),

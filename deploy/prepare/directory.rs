@@ -187,13 +187,12 @@ impl Resolved {
     pub(crate) fn complete(&self, root: &Path) -> Option<RunResult> {
         let text = regular_file::read_to_string(&RunDir::new(root).result(), MAX_RESULT).ok()?;
         let result: RunResult = serde_json::from_str(&text).ok()?;
-        let stopped =
-            self.config.run.stop_when_solved && result.solved_episode.is_some() && !result.interrupted;
-        (stopped || self.reached(result.episodes, result.env_steps)).then_some(result)
+        (self.stopped_when_solved(&result) || self.reached(result.episodes, result.env_steps))
+            .then_some(result)
     }
 
-    /// What ended the run that came to `result`.
-    fn limits_of(&self, result: &RunResult) -> String {
+    /// What ended the run that came to `result`, and what would let it go on.
+    fn limits_of(&self, result: &RunResult) -> (String, &'static str) {
         let run = &self.config.run;
         let limit = |key: &str, limit: Option<u64>, count| {
             limit.filter(|&limit| count >= limit).map(|limit| format!("run.{key} = {limit}"))
@@ -202,8 +201,19 @@ impl Resolved {
             limit("episodes", run.episodes, result.episodes),
             limit("env_steps", run.env_steps, result.env_steps),
         ];
-        let limits: Vec<String> = limits.into_iter().flatten().collect();
-        if limits.is_empty() { "it is solved".into() } else { limits.join(", ") }
+        let mut limits: Vec<String> = limits.into_iter().flatten().collect();
+        let solved = self.stopped_when_solved(result).then(|| "it is solved".into());
+        let accepted = match (limits.is_empty(), solved.is_some()) {
+            (true, _) => "--set run.stop_when_solved=false",
+            (false, false) => "a higher --episodes or --env-steps",
+            (false, true) => "a higher --episodes or --env-steps, with --set run.stop_when_solved=false",
+        };
+        limits.extend(solved);
+        (limits.join(", "), accepted)
+    }
+
+    fn stopped_when_solved(&self, result: &RunResult) -> bool {
+        self.config.run.stop_when_solved && result.solved_episode.is_some() && !result.interrupted
     }
 
     /// Whether the run in `root` has a checkpoint that this configuration can go on from.
@@ -226,12 +236,11 @@ impl Resolved {
     fn check_resume(&self, dir: &RunDir) -> Result<Life> {
         let root = dir.root().display();
         if let Some(result) = self.complete(dir.root()) {
+            let (limits, accepted) = self.limits_of(&result);
             bail!(
-                "--resume: {root} is complete with {} episodes and {} environment steps ({}); accepted: a higher \
-                 --episodes or --env-steps, or --set run.stop_when_solved=false where it stopped because it is solved",
+                "--resume: {root} is complete with {} episodes and {} environment steps ({limits}); accepted: {accepted}",
                 result.episodes,
                 result.env_steps,
-                self.limits_of(&result)
             );
         }
         let former = self.former(dir)?;

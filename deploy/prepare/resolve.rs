@@ -106,7 +106,8 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
     });
     let demo = own.mentor.demo.clone();
     own.mentor.demo = demo.map_files(|name, _| copy_of(&dir, &demo, name).display().to_string());
-    let mut resolved = meet(own)?;
+    let mut resolved =
+        meet(own).with_context(|| format!("--resume: a run with the settings in {}", path.display()))?;
     resolved.config.mentor.demo = demo;
     typed.mentor.metric = typed.mentor.metric.of(&resolved.spec);
     let own = &resolved.config;

@@ -82,7 +82,7 @@ impl Manifest {
         self.sets.iter().filter(|set| !length(set)).collect()
     }
 
-    fn path(out: &Path) -> PathBuf {
+    pub(crate) fn path(out: &Path) -> PathBuf {
         out.join(MANIFEST)
     }
 

@@ -116,7 +116,11 @@ fn ran(sets: &[&str]) -> (Bare, Vec<Drawing>, Vec<f32>) {
     assert_eq!(mentor.is_some(), config.run.algo != Algo::Dqn);
     let agent = Agent::new(&experiment, transitions).unwrap();
     let mut learner = Bare { weights: vec![agent.weights().to_vec()], agent, told: 0 };
-    let acting = run::<_, _, Fault>(&experiment, &mut actors, mentor, &mut learner, || false).unwrap();
+    let collected = |_: &mut Bare, actors: &[Drawing], batches: &[Batch]| {
+        assert_eq!(actors.len(), batches.len());
+        Ok::<(), Fault>(())
+    };
+    let acting = run(&experiment, &mut actors, mentor, &mut learner, collected, || false).unwrap();
     (learner, actors, acting.weights)
 }
 
