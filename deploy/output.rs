@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Error, Result};
 use nix::errno::Errno;
+use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit};
 use std::fmt::Arguments;
 use std::io::{self, Write, stderr, stdout};
 
@@ -36,10 +37,18 @@ pub(crate) fn words(error: &Error) -> String {
         Some(Errno::EFBIG) => " (ulimit -f)",
         Some(Errno::EMFILE) => " (ulimit -n)",
         // Of a process or thread that could not be started; nothing else here can be tried again.
+        // A thread's stack may have had no room.
+        Some(Errno::EAGAIN) if bounded_space() => " (ulimit -u or -v)",
         Some(Errno::EAGAIN) => " (ulimit -u)",
+        Some(Errno::ENOMEM) if bounded_space() => " (ulimit -v)",
         _ => "",
     };
     bounded(text) + limit
+}
+
+/// Whether the address space of this process is limited.
+fn bounded_space() -> bool {
+    getrlimit(Resource::RLIMIT_AS).is_ok_and(|(soft, _)| soft != RLIM_INFINITY)
 }
 
 /// Longest message of a failure that is shown whole, characters: several screens.

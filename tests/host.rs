@@ -209,10 +209,27 @@ fn limits_are_named() {
     for stack in ["64", "200", "512"] {
         limited(&format!("ulimit -s {stack}"), &[], &["stack", stack, "needs 1024", "ulimit -s"]);
     }
+    limited("ulimit -v 100000", &[], &["address space: 100000 KiB allowed", "needs", "ulimit -v"]);
+    limited("ulimit -d 20000", &[], &["private memory: 20000 KiB allowed", "needs", "ulimit -d"]);
+    let large = ["--set", "learner.replay=10000000"];
+    limited("ulimit -v 400000", &large, &["address space: 400000 KiB allowed", "learner.replay"]);
+    limited("ulimit -t 2", &[], &["CPU time of a process: 2 s allowed", "needs 3", "ulimit -t"]);
     // A limit that may be raised is raised: no reason to refuse anything.
     let soft = ["sh", "-c", "ulimit -S -n 64 && ulimit -S -s 200 && exec \"$@\"", "sh"];
     start_under(&soft, &place.training("raised", &ARGS)).finish().ok();
     assert_gone(&place.run("raised"));
+}
+
+/// A process is killed at the hard limit of its CPU time, so the run saves and leaves before.
+#[test]
+fn a_run_saves_before_its_cpu_time_is_over() {
+    let place = Place::new();
+    let under = ["sh", "-c", "ulimit -t 4 && exec \"$@\"", "sh"];
+    let args = ["maze-small", "--env-steps", "1000000000", "--set", "checkpoint.every_env_steps=0"];
+    let ended = start_under(&under, &place.training("run", &args)).finish();
+    assert!(ended.stderr.contains("note: a process may use 2 s of CPU time"), "{ended:?}");
+    ended.code(130);
+    assert!(place.run("run").last().exists());
 }
 
 /// Shared memory may have room for bytes and none for files.

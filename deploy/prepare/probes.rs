@@ -6,13 +6,14 @@
 use crate::TRANSPORT;
 use anyhow::{Context, Result, bail, ensure};
 use nix::errno::Errno;
-use nix::sys::resource::{Resource, getrlimit, setrlimit};
+use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit, setrlimit};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::{geteuid, getuid};
 use std::fs;
 use std::io::Write;
 use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::Path;
+use trestle_algorithm::replay::bytes_per_transition;
 use trestle_link::Transport;
 use trestle_proto::experiment::Experiment;
 use trestle_proto::own_file::{cannot_link, cannot_sync};
@@ -22,6 +23,14 @@ const SHM: &str = "/dev/shm";
 const STACK: u64 = 1 << 20;
 /// Stack that is asked for where there is less, bytes: what is usual.
 const USUAL_STACK: u64 = 8 << 20;
+
+/// Address space of a process without its data and without shared memory, bytes: the program, its libraries and its stacks.
+/// Half of it was enough for a build without optimisation.
+const PROGRAM: u64 = 96 << 20;
+/// Private memory of a process beyond what is counted one by one, bytes. A quarter was enough.
+const SMALL_THINGS: u64 = 32 << 20;
+/// CPU time of a process below which it could not save what it has learnt before the limit ends it, seconds.
+const CPU_TIME: u64 = 3;
 
 /// What a run takes of the machine, at the most. Measured with 1 to 24 actors in both modes, and rounded up generously: a
 /// replaced process and the one that it replaces are there at once for a moment.
@@ -39,6 +48,8 @@ pub(crate) struct Needs {
     tasks: u64,
     /// Bytes of its largest file, records aside.
     file_bytes: u64,
+    /// Bytes of private memory of its learner, which has the most.
+    private_memory: u64,
 }
 
 impl Needs {
@@ -47,6 +58,12 @@ impl Needs {
         let shared = TRANSPORT.footprint(experiment);
         let acting = experiment.acting().words() + experiment.own_room().words();
         let actors = u64::from(experiment.config.run.actors);
+        // All of the replay is reserved at the start, as if no transition had a successor.
+        let (row, learner) = (experiment.spec.row(), &experiment.config.learner);
+        let replay = learner.replay as u64 * (bytes_per_transition(row) + 4 * row.words()) as u64;
+        // Demonstrations with what is known of them; networks with moments, gradients and copies; stacks of threads.
+        let mentor = experiment.mentor_len() as u64 * (8 * row.words() as u64 + 128);
+        let networks = 64 * acting as u64 + ((8 * learner.threads as u64) << 20);
         // Adam's two moments of each parameter, with a header; a segment of shared memory; iceoryx2's books.
         let optimizer = 8 * acting as u64 + (64 << 10);
         Self {
@@ -56,7 +73,13 @@ impl Needs {
             supervisor_files: 64 + 2 * actors,
             tasks: 2 * (actors + 2) + 8,
             file_bytes: optimizer.max(shared.largest).max((256 << 10) + (96 << 10) * actors),
+            private_memory: SMALL_THINGS + replay + mentor + networks,
         }
+    }
+
+    /// Bytes of address space of the learner, which has the most.
+    fn address_space(&self) -> u64 {
+        PROGRAM + self.private_memory + self.shared_memory
     }
 
     /// Whichever is more.
@@ -68,6 +91,7 @@ impl Needs {
             supervisor_files: self.supervisor_files.max(other.supervisor_files),
             tasks: self.tasks.max(other.tasks),
             file_bytes: self.file_bytes.max(other.file_bytes),
+            private_memory: self.private_memory.max(other.private_memory),
         }
     }
 
@@ -81,6 +105,7 @@ impl Needs {
             supervisor_files: self.supervisor_files * runs,
             tasks: self.tasks * runs,
             file_bytes: self.file_bytes,
+            private_memory: self.private_memory,
         }
     }
 }
@@ -112,6 +137,11 @@ pub(crate) fn findings(needs: &Needs) -> Vec<Finding> {
     let mut all = vec![shared_memory(needs)];
     all.extend(inodes(needs));
     all.extend([open_files(needs), tasks(needs), file_size(needs), stack()]);
+    all.extend([
+        memory("address space", Resource::RLIMIT_AS, needs.address_space(), "-v"),
+        memory("private memory", Resource::RLIMIT_DATA, needs.private_memory, "-d"),
+        cpu_time(),
+    ]);
     all
 }
 
@@ -175,6 +205,39 @@ fn limit(name: &str, resource: Resource, needed: u64, flag: &str) -> Finding {
     match raised(resource, needed) {
         Ok(value) => {
             Finding::of(name, value, needed, "allowed", &format!("raise it with `ulimit {flag} {needed}`"))
+        }
+        Err(errno) => Finding { enough: false, text: format!("{name}: the limit cannot be read: {errno}") },
+    }
+}
+
+/// Memory of a process that a shell's `ulimit` limits: a process that meets the limit is ended by it in no good order.
+fn memory(name: &str, resource: Resource, needed: u64, flag: &str) -> Finding {
+    match raised(resource, needed) {
+        Ok(RLIM_INFINITY) => Finding { enough: true, text: format!("{name}: unlimited") },
+        Ok(value) => {
+            let needed = needed.div_ceil(1 << 10);
+            let remedy =
+                format!("raise it with `ulimit {flag} {needed}`, or lower learner.replay or learner.hidden");
+            Finding::of(name, value >> 10, needed, "KiB allowed", &remedy)
+        }
+        Err(errno) => Finding { enough: false, text: format!("{name}: the limit cannot be read: {errno}") },
+    }
+}
+
+/// The processor time of a process. At the hard limit the kernel kills it without a warning, so the soft limit, at which it
+/// asks the process to save and leave, is set before that.
+fn cpu_time() -> Finding {
+    let name = "CPU time of a process";
+    let warned = |(soft, hard): (u64, u64)| {
+        let before = hard.saturating_sub((hard / 10).clamp(2, 60)).max(1);
+        let soft = if hard == RLIM_INFINITY { soft } else { soft.min(before) };
+        setrlimit(Resource::RLIMIT_CPU, soft, hard).map(|()| (soft, hard))
+    };
+    match getrlimit(Resource::RLIMIT_CPU).and_then(warned) {
+        Ok((RLIM_INFINITY, _)) => Finding { enough: true, text: format!("{name}: unlimited") },
+        Ok((soft, RLIM_INFINITY)) => Finding { enough: true, text: format!("{name}: {soft} s allowed") },
+        Ok((_, hard)) => {
+            Finding::of(name, hard, CPU_TIME, "s allowed", "raise it with `ulimit -t unlimited`")
         }
         Err(errno) => Finding { enough: false, text: format!("{name}: the limit cannot be read: {errno}") },
     }
@@ -276,9 +339,16 @@ pub(crate) fn check_stack() -> Result<(), String> {
     if finding.enough { Ok(()) } else { Err(finding.text) }
 }
 
-/// What the file system of `dir` cannot do, and what a run promises less for it. Leaves nothing behind.
+/// What the file system of `dir` cannot do, or a limit cuts short, and what a run promises less for it. Leaves nothing behind.
 pub(crate) fn weaknesses(dir: &Path) -> Vec<String> {
     let mut found = Vec::new();
+    if let Ok((soft, _)) = getrlimit(Resource::RLIMIT_CPU)
+        && soft != RLIM_INFINITY
+    {
+        found.push(format!(
+            "a process may use {soft} s of CPU time (`ulimit -t`): then the run saves and ends, and can be resumed"
+        ));
+    }
     let probe = tempfile::Builder::new().prefix(".probe-").make_in(dir, |path| symlink("nowhere", path));
     if let Err(error) = probe
         && cannot_link(&error)
