@@ -27,8 +27,8 @@ pub(crate) fn say(text: &str) {
 pub(crate) fn words(error: &Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
-        // Many messages end with their cause's words already.
-        if !text.ends_with(&cause) {
+        // Many messages have their cause's words in them already.
+        if !text.contains(&cause) {
             text += &format!(": {cause}");
         }
     }
@@ -80,6 +80,13 @@ mod tests {
         assert!(said.contains("characters are left out"));
         let exact = "ä".repeat(MAX_WORDS);
         assert_eq!(words(&Error::msg(exact.clone())), exact);
+    }
+
+    #[test]
+    fn nothing_is_said_twice() {
+        let cause = || Error::msg("ff is a pipe");
+        assert_eq!(words(&cause().context("cannot read ff")), "cannot read ff: ff is a pipe");
+        assert_eq!(words(&cause().context("ff is a pipe; try a file")), "ff is a pipe; try a file");
     }
 
     #[test]

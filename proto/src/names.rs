@@ -1,6 +1,7 @@
 //! The nearest right name to a misspelt one. Every refusal of a name uses it.
 
-/// The name in `known` that `name` was probably meant to be; the first of them if several are equally near.
+/// The name in `known` that `name` was probably meant to be. Of several that are equally near, one with the same first letter
+/// goes before the others, and the first one before the rest.
 ///
 /// Two names are near if at most a third of the letters differ (inserted, left out, exchanged or swapped with a neighbour).
 /// Case does not count, and `_`, `-` and a blank are the same.
@@ -8,10 +9,11 @@ pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
     let folded = fold(name);
     let most = (folded.chars().count() / 3).max(1);
     let distances = known.into_iter().map(|word| (strsim::osa_distance(&folded, &fold(word)), word));
+    let other_start = |word: &str| fold(word).chars().next() != folded.chars().next();
     // `min_by_key` keeps the first of equals.
     distances
         .filter(|(distance, _)| *distance <= most)
-        .min_by_key(|(distance, _)| *distance)
+        .min_by_key(|(distance, word)| (*distance, other_start(word)))
         .map(|(_, word)| word)
 }
 
@@ -51,6 +53,7 @@ mod tests {
         for typed in ["", "cartpole", "beta", &"x".repeat(100_000)] {
             assert_eq!(nearest(typed, known.into_iter().take(4)), None, "{typed}");
         }
+        assert_eq!(nearest("iregular", ["regular", "irregular"]), Some("irregular"));
         assert_eq!(nearest("a", ["b", "c"]), Some("b"), "the first of equals");
         assert_eq!(hint("gama", known), "; did you mean `gamma`?");
         assert_eq!(hint("cartpole", known), "");
