@@ -162,6 +162,30 @@ def layouts():
         file["observations"] = STATES
 
 
+def positions():
+    """Arrays that are shorter than the states: where episodes end or begin, and how long they are."""
+    with hdf5("ends-in-meta") as file:
+        file["data/state"] = STATES
+        file["data/action"] = np.zeros((6, 2))
+        file["meta/episode_ends"] = np.array([3, 6])
+    with hdf5("axes") as file:
+        file["observations"] = STATES.reshape(6, 1, 2)
+        file["terminals"] = NEVER
+        file["timeouts"] = ENDS
+    with hdf5("pandas-table") as file:
+        file["df/_i_table/index/bounds"] = np.zeros((0, 127))
+        file["df/table"] = np.array([(0, (0, 1))], [("index", "i8"), ("values_block_0", "f4", (2,))])
+    np.savez(OUT / "ends.npz", observations=STATES, episode_ends=np.array([3, 6]))
+    np.savez(OUT / "last-rows.npz", observations=STATES, episode_ends=np.array([2, 5]))
+    np.savez(OUT / "starts.npz", observations=STATES, episode_starts=np.array([0, 3]))
+    np.savez(OUT / "lengths.npz", observations=STATES, episode_lengths=np.array([3, 3]))
+    np.savez(OUT / "wrong-lengths.npz", observations=STATES, episode_lengths=np.array([3, 4]))
+    np.savez(OUT / "one-more.npz", observations=STATES, terminals=np.arange(5) == 4)
+    np.savez(OUT / "one-more-of-several.npz", observations=STATES, terminals=np.arange(5) == 2)
+    np.savez(OUT / "folders.npz", **{"a/obs": STATES, "a/dones": ENDS, "b/obs": STATES, "b/dones": NEVER})
+    np.savez(OUT / "trajectory.npz", traj=STATES, other=STATES)
+
+
 def arrays():
     np.save(OUT / "float16.npy", STATES.astype("f2"))
     np.save(OUT / "long-double.npy", STATES.astype("longdouble"))
@@ -189,5 +213,5 @@ def arrays():
 
 if __name__ == "__main__":
     OUT.mkdir(exist_ok=True)
-    for make in (links, storage, layouts, arrays):
+    for make in (links, storage, layouts, positions, arrays):
         make()

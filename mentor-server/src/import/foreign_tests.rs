@@ -141,6 +141,32 @@ fn flags_end_episodes_whatever_they_are_called() {
 }
 
 #[test]
+fn episodes_end_where_positions_or_lengths_say() {
+    for name in ["ends", "last-rows", "starts", "lengths"] {
+        let (found, notes) = of(&format!("{name}.npz"), &Options::default());
+        assert_eq!(found, two(), "{name}");
+        assert!(notes[0].contains("says where episodes end, but not how") && notes.len() == 1, "{notes:?}");
+    }
+    assert_eq!(of("ends-in-meta.hdf5", &keyed("data/state")).0, two());
+    let wrong = refused("wrong-lengths.npz", &Options::default());
+    assert!(wrong.contains("episode_lengths is 2 numbers, for 6 states"), "{wrong}");
+    // The state after the last step is there.
+    let one = vec![(numbers(0..12), true)];
+    assert_eq!(of("one-more.npz", &Options::default()).0, one);
+    let several = refused("one-more-of-several.npz", &Options::default());
+    assert!(several.contains("terminals is 5 numbers, for 6 states; accepted: one a state"), "{several}");
+    // Flags beside the states, in a folder of their own.
+    assert_eq!(of("folders.npz", &keyed("a/obs")).0, two());
+    assert_eq!(of("folders.npz", &keyed("b/obs")).0, [(numbers(0..12), false)]);
+    assert_eq!(of("trajectory.npz", &keyed("traj")).0, [(numbers(0..12), false)]);
+    let (axes, notes) = of("axes.hdf5", &Options::default());
+    assert_eq!(axes, two());
+    assert_eq!(notes, ["each of the 6 rows is an array of 1 x 2: its 2 numbers are the features of a state"]);
+    let table = refused("pandas-table.hdf5", &Options::default());
+    assert!(table.contains("a table of pandas") && table.contains("pandas.read_hdf(\""), "{table}");
+}
+
+#[test]
 fn other_layouts_are_known_or_reached_by_their_paths() {
     // The first episode knows its last state from the next observations.
     let whole = (vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], false);
@@ -222,6 +248,8 @@ fn arrays_of_every_kind_are_read_or_named() {
     assert_eq!(grid(&golden("gym-maze.npy"), 9).unwrap(), [[0.0, 2.0], [8.0, 1.0]]);
     assert_eq!(grid(&golden("grid.npy"), 9).unwrap().len(), 3);
     assert!(grid(&golden("grid.npy"), 3).unwrap_err().to_string().contains("1 to 3 each"));
+    let drawn = grid(&golden("text.npy"), 9).unwrap_err().to_string();
+    assert!(drawn.contains("numpy.savetxt(\"map.txt\", numpy.load(\"") && !drawn.contains("f4"), "{drawn}");
 }
 
 #[test]

@@ -21,6 +21,8 @@ pub(super) enum Role {
     First,
     /// How far into its episode a row is.
     Step,
+    /// How many rows each episode has.
+    Length,
 }
 
 const EPISODE: &[&str] = &[
@@ -130,6 +132,21 @@ const STEP: &[&str] = &[
     "time",
     "frame",
     "frame_index",
+    "timestamp",
+];
+const LENGTH: &[&str] = &[
+    "episode_length",
+    "episode_lengths",
+    "ep_length",
+    "ep_lengths",
+    "ep_len",
+    "ep_lens",
+    "traj_length",
+    "traj_lengths",
+    "traj_len",
+    "traj_lens",
+    "trajectory_length",
+    "trajectory_lengths",
 ];
 /// What a name begins with if its column is no part of a state.
 const NO_STATE: &[&str] = &["action", "reward"];
@@ -144,6 +161,7 @@ pub(super) fn role(name: &str) -> Option<Role> {
         (END, Role::End),
         (FIRST, Role::First),
         (STEP, Role::Step),
+        (LENGTH, Role::Length),
     ];
     of.into_iter().find(|(names, _)| names.contains(&&*name)).map(|(_, role)| role)
 }
@@ -251,7 +269,7 @@ impl Labels {
         };
         for &column in &state {
             let Some(name) = names.get(column) else { continue };
-            let marker = role(name).is_some_and(|role| role != Role::Step);
+            let marker = role(name).is_some_and(|role| !matches!(role, Role::Step | Role::Length));
             if marker || is_no_state(name) {
                 let accepted = "columns of the state; actions and rewards are no part of a demonstration";
                 return Err(place.clone().refuse("--columns", format!("`{name}`"), accepted));
@@ -472,6 +490,7 @@ mod tests {
             ("Episode ID", Some(Role::Episode)),
             ("is_first", Some(Role::First)),
             ("frame_index", Some(Role::Step)),
+            ("episode_lengths", Some(Role::Length)),
             ("EpisodeID", Some(Role::Episode)),
             ("isDone", Some(Role::End)),
             ("game over", Some(Role::End)),

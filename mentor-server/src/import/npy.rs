@@ -11,6 +11,7 @@ use super::sink::Sink;
 use half::f16;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -50,6 +51,21 @@ pub fn grid(path: &Path, limit: usize) -> Result<Vec<Vec<f64>>, ImportError> {
     let place = Place::of(path);
     let file = trestle_proto::regular_file::open(path, super::MAX_SOURCE_BYTES)?;
     let bytes = file.metadata().map_err(|e| io_error(path, &e))?.len();
+    if let Some(text) = drawn(&file) {
+        let (what, python) = match text {
+            'O' => (
+                "an array of objects",
+                ", allow_pickle=True), \"%s\", \"\")'` makes text of it; as loading objects runs code, only \
+                for a file that you trust",
+            ),
+            _ => ("an array of texts", "), \"%s\", \"\")'` makes text of it"),
+        };
+        let next = format!(
+            "`python3 -c 'import numpy; numpy.savetxt(\"map.txt\", numpy.load(\"{}\"{python}",
+            path.display()
+        );
+        return Err(place.foreign(what, next));
+    }
     let mut array = Array::open(BufReader::new(file), bytes, &place)?;
     match (&array.kind, &array.shape[..]) {
         (Kind::Numbers(_), &[rows, columns])
@@ -64,6 +80,16 @@ pub fn grid(path: &Path, limit: usize) -> Result<Vec<Vec<f64>>, ImportError> {
             Err(place.refuse("the shape", format!("{shape:?}"), accepted))
         }
     }
+}
+
+/// The kind of the array in `file`, where it holds the characters of a drawing: objects, or texts. The file's position stays
+/// where it is.
+fn drawn(file: &File) -> Option<char> {
+    let mut start = vec![0; 1 << 12];
+    let length = file.read_at(&mut start, 0).ok()?;
+    let (header, _) = header(&mut &start[..length])?;
+    let (text, _) = quoted(after(&header, "descr")?)?;
+    text.trim_start_matches(['<', '>', '|', '=']).chars().next().filter(|kind| "OUSa".contains(*kind))
 }
 
 fn io_error(path: &Path, error: &io::Error) -> ImportError {
@@ -126,7 +152,9 @@ impl<R: Read> Array<R> {
         };
         let expected = shape.iter().try_fold(size, |a, &b| a.checked_mul(b));
         if expected.and_then(|data| data.checked_add(start)) != Some(bytes) {
-            let accepted = format!("as much as its shape {shape:?} says; it may be cut off");
+            let short = expected.is_none_or(|data| data.saturating_add(start) > bytes);
+            let why = if short { "it may be cut off" } else { "something follows the array" };
+            let accepted = format!("as much as its shape {shape:?} says; {why}");
             return refuse("the file's length", format!("{bytes} bytes"), &accepted);
         }
         Ok(Self { reader, place, shape, kind, width: 1, rows: 0, next: 0 })
@@ -140,6 +168,11 @@ impl<R: Read> Array<R> {
         self.width = usize::try_from(width).map_err(|_| refuse(format!("{:?}", self.shape)))?;
         self.rows = numbers.checked_div(width).ok_or_else(|| refuse(format!("{:?}", self.shape)))?;
         Ok(())
+    }
+
+    /// Whether there is one number in a row, as of flags.
+    pub(super) fn is_a_number_a_row(&self) -> bool {
+        self.shape.iter().skip(1).all(|&side| side == 1)
     }
 
     /// As marks, one a step.

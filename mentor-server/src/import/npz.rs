@@ -41,10 +41,16 @@ pub(super) fn read(
     let several = states.shape.len() == 3;
     let mut marks: Vec<(String, Role, Box<dyn Rows>)> = Vec::new();
     for own in archive.names().filter(|own| **own != name) {
-        match role(own) {
-            None | Some(Role::Step) => {}
-            Some(kind) => marks.push((own.clone(), kind, Box::new(archive.array(own)?.marks()?))),
+        // Names can be paths: what lies beside the states, or above, is about them.
+        let (folder, last) = own.rsplit_once('/').unwrap_or(("", own));
+        let beside = folder.is_empty() || name.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/'));
+        let Some(kind) = role(last).filter(|role| beside && *role != Role::Step) else { continue };
+        let array = archive.array(own)?;
+        // Trajectories themselves can have the name of their numbers.
+        if kind == Role::Episode && !array.is_a_number_a_row() {
+            continue;
         }
+        marks.push((own.clone(), kind, Box::new(array.marks()?)));
     }
     let next = SUCCESSORS.iter().find(|(own, _)| *own == name).map(|(_, next)| next.to_string());
     let mut successors: Option<(String, Box<dyn Rows>)> = None;
@@ -131,7 +137,7 @@ impl<'a> Archive<'a> {
             self.place.clone().refuse("--key", value, accepted)
         };
         if let Some(key) = key {
-            let found = candidates.iter().find(|name| **name == key);
+            let found = self.names().find(|name| *name == key && !is_no_state(name));
             return found.map(|name| name.to_string()).ok_or_else(|| refuse(format!("`{key}`")));
         }
         let usual = STATES.iter().find(|name| candidates.iter().any(|own| own == *name));

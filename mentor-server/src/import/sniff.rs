@@ -161,8 +161,11 @@ fn zip(start: &[u8], foreign: &impl Fn(&'static str, &str) -> Kind) -> Kind {
         let next = "`python3 -c 'import torch; print(torch.load(\"{}\"))'` shows it; store its states with `numpy.save`";
         return foreign("a file of PyTorch", next);
     }
-    if name == "[Content_Types].xml" || name.starts_with("xl/") || name == "mimetype" {
-        return foreign("a spreadsheet or document", "save its table as CSV");
+    let office = ["[Content_Types].xml", "xl/", "docProps/", "_rels/", "mimetype"];
+    if office.iter().any(|begin| name.starts_with(begin)) {
+        let next = "save its table as CSV, or `python3 -c 'import pandas; pandas.read_excel(\"{}\").to_csv(\"demo.csv\", index=False)'` \
+                    makes CSV of its first sheet";
+        return foreign("a spreadsheet or document", next);
     }
     foreign("a ZIP archive without arrays of NumPy", "unpack it: `unzip {}`")
 }
@@ -310,6 +313,8 @@ mod tests {
             bytes.extend(HDF5);
             assert_eq!(kind_of(&bytes), Kind::Hdf5);
         }
+        // As openpyxl writes it: the name of the first member has 16 bytes.
+        let workbook = [&b"PK\x03\x04"[..], &[0; 22], &[16, 0, 0, 0], b"docProps/app.xml"].concat();
         for (bytes, what) in [
             (&b"PAR1...."[..], "Parquet: `python3"),
             (
@@ -327,6 +332,7 @@ mod tests {
             (b"../../.git/annex/objects/a/b/c", "a git-annex pointer"),
             (b"<!-- saved -->\n<html>", "an HTML page"),
             (b"\xff\xff\xff\xff\xd0\x00\x00\x00\x10", "an Arrow stream"),
+            (&workbook, "a spreadsheet or document: save its table"),
             (b"\x80\x04\x95", "a Python pickle: "),
             (b"\0\0\0\0", "neither text"),
             (b"SQLite format 3\0", "an SQLite database"),

@@ -13,6 +13,9 @@ use crate::import::sink::Sink;
 /// Observations, and the ones after each step.
 const SUCCESSORS: [(&str, &str); 2] = [("observations", "next_observations"), ("obs", "next_obs")];
 
+/// Where a file may say at which rows episodes end.
+const ENDS: &str = "meta/episode_ends";
+
 /// Reads the episodes that are wanted from the dataset at `path` into `sink`.
 pub(super) fn read(
     source: &Source,
@@ -23,6 +26,16 @@ pub(super) fn read(
     let place = source.place();
     let table = |path: &str, what: &str| Table::new(source, path, &place, what);
     let states = table(path, "observations")?;
+    if let [rows, first, rest @ ..] = states.shape()
+        && !rest.is_empty()
+    {
+        let sides: Vec<String> = [first].into_iter().chain(rest).map(ToString::to_string).collect();
+        sink.note(format!(
+            "each of the {rows} rows is an array of {}: its {} numbers are the features of a state",
+            sides.join(" x "),
+            states.width()
+        ));
+    }
     let (mut group, _) = path.rsplit_once('/').unwrap_or(("", path));
     let mut marks: Vec<(String, Role, Box<dyn Rows>)> = Vec::new();
     loop {
@@ -42,6 +55,10 @@ pub(super) fn read(
             break;
         }
         group = group.rsplit_once('/').map_or("", |(above, _)| above);
+    }
+    // As the data sets of Diffusion Policy are laid out.
+    if marks.is_empty() && source.dataset_if_any(ENDS)?.is_some() {
+        marks.push((ENDS.into(), Role::End, Box::new(table(ENDS, "episode ends")?)));
     }
     let mut successors: Option<(String, Box<dyn Rows>)> = None;
     for (own, next) in SUCCESSORS {

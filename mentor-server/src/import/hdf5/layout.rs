@@ -93,7 +93,15 @@ pub(super) fn choose(source: &Source, options: &Options) -> Result<(&'static str
             }
             let value =
                 key.map_or("missing, and the layout is not a known one".into(), |key| format!("`{key}`"));
-            let accepted = match source.candidates() {
+            let found = source.candidates();
+            if found.iter().any(|path| path.contains("/_i_table/")) {
+                let next = format!(
+                    "`python3 -c 'import pandas; pandas.read_hdf(\"{}\").to_csv(\"demo.csv\", index=False)'` makes CSV of it",
+                    source.path.display()
+                );
+                return Err(source.place().foreign("a table of pandas", next));
+            }
+            let accepted = match found {
                 found if found.is_empty() => "a file with arrays of numbers in it".into(),
                 found => format!("a path, such as {}", list(&found)),
             };

@@ -43,6 +43,7 @@ pub(super) struct Table {
     dataset: Dataset,
     element: Element,
     path: PathBuf,
+    shape: Vec<u64>,
     rows: u64,
     width: usize,
     window: u64,
@@ -94,7 +95,13 @@ impl Table {
         let chunk = chunk.unwrap_or(1).max(1);
         let row_bytes = (width as u64).saturating_mul(bytes).max(1);
         let window = (WINDOW_BYTES / row_bytes / chunk).max(1).saturating_mul(chunk);
-        Ok(Self { dataset, element, path: path.into(), rows: *rows, width, window })
+        let rows = *rows;
+        Ok(Self { dataset, element, path: path.into(), shape, rows, width, window })
+    }
+
+    /// The sides of the dataset.
+    pub(super) fn shape(&self) -> &[u64] {
+        &self.shape
     }
 
     /// All flags of one episode, one a step.
