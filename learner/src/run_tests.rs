@@ -13,7 +13,7 @@ use trestle_link::{MentorHandler, MentorLink};
 use trestle_proto::NONE;
 use trestle_proto::batch::{BatchHeader, TERMINATED, Transition};
 use trestle_proto::episode::Episode;
-use trestle_proto::observe::{ObserveAnswer, Observed};
+use trestle_proto::observe::{ObserveAnswer, ObserveRequest, Observed};
 use trestle_proto::query::{OK, OUT_OF_ORDER, QueryAnswer};
 use trestle_proto::reply::{EvaluationEpisode, ReplyHeader};
 use trestle_proto::rundir::RunDir;
