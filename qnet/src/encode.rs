@@ -6,7 +6,11 @@
 use serde::{Deserialize, Serialize};
 use trestle_proto::row::Row;
 
+use crate::kernels::{Kernels, Rescale, rescaled};
 use crate::layout::MAX_WIDTH;
+
+/// Below so many features it takes longer to choose an instruction set than to do without.
+const FEW: usize = 16;
 
 /// Why an encoding is not usable.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -183,9 +187,8 @@ impl Encoding {
         assert_eq!(out.len(), self.input_dim(), "encoded length");
         match self {
             Encoding::Scale { low, high } => {
-                for (((out, &value), &low), &high) in out.iter_mut().zip(obs).zip(low).zip(high) {
-                    *out = scaled(value.into(), low, high);
-                }
+                let rescale = Rescale { x: obs, low, high, out };
+                if obs.len() < FEW { rescale.each() } else { Kernels::detect().run(rescale) }
             }
             Encoding::OneHot { low, sizes } => {
                 out.fill(0.0);
@@ -200,7 +203,7 @@ impl Encoding {
                 let mut start = 0;
                 for (((&value, &low), &high), &size) in obs.iter().zip(low).zip(high).zip(sizes) {
                     if size == 0 {
-                        out[start] = scaled(value.into(), low, high);
+                        out[start] = rescaled(value.into(), low, high);
                     } else {
                         out[start + category(value.into(), low, size)] = 1.0;
                     }
@@ -227,11 +230,6 @@ impl Encoding {
     }
 }
 
-/// `low..=high` onto `-1..=1`.
-fn scaled(value: f32, low: f32, high: f32) -> f32 {
-    2.0 * (value - low) / (high - low) - 1.0
-}
-
 /// Which of `size` categories, 1 or more, `value` is.
 fn category(value: f32, low: f32, size: usize) -> usize {
     // A float-to-integer cast saturates and maps NaN to 0.
@@ -251,6 +249,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::kernels::Isa;
 
     fn encoded(encoding: &Encoding, obs: &[f32]) -> Vec<f32> {
         let mut out = vec![f32::NAN; encoding.input_dim()];
@@ -340,6 +339,23 @@ mod tests {
                 let mut out = vec![f32::NAN; encoding.input_dim()];
                 encoding.encode_row(Row::U8(&bytes), &mut out);
                 prop_assert_eq!(out, encoded(&encoding, &values));
+            }
+        }
+
+        #[test]
+        fn every_instruction_set_scales_with_the_same_bits(
+            x in prop::collection::vec(prop_oneof![-9.0f32..9.0, Just(f32::NAN), Just(f32::MAX)], 1..80), seed in 1u32..9,
+        ) {
+            let low: Vec<f32> = (0..x.len()).map(|i| (i as f32 * 0.3 - seed as f32) / 7.0).collect();
+            let high: Vec<f32> = low.iter().map(|low| low + 0.1 * seed as f32).collect();
+            let expected: Vec<u32> =
+                x.iter().zip(&low).zip(&high).map(|((&x, &low), &high)| rescaled(x, low, high).to_bits()).collect();
+            for isa in Isa::available() {
+                let mut out = vec![0.0; x.len()];
+                Kernels::new(isa).unwrap().run(Rescale { x: &x, low: &low, high: &high, out: &mut out });
+                for (out, &expected) in out.iter().zip(&expected) {
+                    prop_assert!(out.to_bits() == expected || out.is_nan() && f32::from_bits(expected).is_nan(), "{}", isa);
+                }
             }
         }
 

@@ -20,11 +20,15 @@ pub use file::{Bounds, ReplayFileError, Span};
 
 use links::Links;
 use rand::RngCore;
+use std::hint::black_box;
 use tails::Tails;
 use trestle_proto::NONE;
 use trestle_proto::batch::{Batch, BatchHeader, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::limits::MAX_ACTORS;
 use trestle_proto::row::{Row, RowKind};
+
+/// Words of a cache line.
+const LINE: usize = 16;
 
 // An actor's index is kept in a byte.
 const _: () = assert!(MAX_ACTORS <= 256);
@@ -245,7 +249,8 @@ impl Replay {
     }
 
     /// Draws `n` slots uniformly with replacement into `out`, which is cleared first: one 64-bit word of `rng` a
-    /// draw, scaled to the number of stored transitions (uniform to within 2^-64 of it). None if nothing is stored.
+    /// draw, scaled to the number of stored transitions (uniform to within 2^-64 of it). None if nothing is stored. What is drawn is
+    /// in the processor's caches afterwards.
     pub fn sample(&self, rng: &mut impl RngCore, n: usize, out: &mut Vec<u32>) {
         out.clear();
         if self.is_empty() {
@@ -253,6 +258,10 @@ impl Replay {
         }
         let len = self.len() as u128;
         out.extend((0..n).map(|_| ((u128::from(rng.next_u64()) * len) >> 64) as u32));
+        // One word of each cache line, whose places do not depend on each other: so the processor waits for many of them at a time.
+        let line = |words: &[u32]| words.iter().step_by(LINE).fold(0, |all, word| all ^ word);
+        let touched = |&slot: &u32| line(self.words(slot as usize)) ^ line(self.next_words(slot as usize));
+        black_box(out.iter().map(touched).fold(0, |all, word| all ^ word));
     }
 
     /// Fills `batch` with the transitions from global index `first` on, in the order in which they came: as many

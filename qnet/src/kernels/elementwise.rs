@@ -107,6 +107,43 @@ impl Op for Scale<'_> {
     }
 }
 
+/// `out = 2 * (x - low) / (high - low) - 1`: `low..=high` onto `-1..=1`.
+pub(crate) struct Rescale<'a, T> {
+    /// The numbers.
+    pub(crate) x: &'a [T],
+    /// What becomes -1, for each number.
+    pub(crate) low: &'a [f32],
+    /// What becomes 1.
+    pub(crate) high: &'a [f32],
+    /// As long as the others; overwritten.
+    pub(crate) out: &'a mut [f32],
+}
+
+impl<T: Copy + Into<f32>> Op for Rescale<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Vector>(self) {
+        self.each();
+    }
+}
+
+impl<T: Copy + Into<f32>> Rescale<'_, T> {
+    /// One number after the other, or as the compiler makes vectors of them.
+    #[inline(always)]
+    pub(crate) fn each(self) {
+        for (((out, &x), &low), &high) in self.out.iter_mut().zip(self.x).zip(self.low).zip(self.high) {
+            *out = rescaled(x.into(), low, high);
+        }
+    }
+}
+
+/// `low..=high` onto `-1..=1`.
+#[inline(always)]
+pub(crate) fn rescaled(x: f32, low: f32, high: f32) -> f32 {
+    2.0 * (x - low) / (high - low) - 1.0
+}
+
 /// `x = share * y + (1 - share) * x`.
 pub(crate) struct Blend<'a> {
     /// Blended in place.

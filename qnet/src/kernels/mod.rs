@@ -25,7 +25,7 @@ mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-pub(crate) use elementwise::{AdamStep, Blend, Scale};
+pub(crate) use elementwise::{AdamStep, Blend, Rescale, Scale, rescaled};
 pub(crate) use fold::Fold;
 pub(crate) use narrow::NarrowProduct;
 #[cfg(test)]
