@@ -26,7 +26,7 @@ use trestle_proto::space::{Success, reported};
 use trestle_qnet::{kernels_of, network_of};
 
 /// What the frame of an actor's state says that it is.
-pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 3 };
+pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 4 };
 
 /// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
 /// [`MAX_REPLY_BYTES`].
@@ -241,7 +241,8 @@ impl Worker {
             guide: Tally::default(),
         });
         let before = order.env_steps.saturating_add(u64::from(self.index) * u64::from(order.steps));
-        self.guides = schedule::guides(&self.exploration, before);
+        let searching = self.guide.as_ref().is_some_and(|guide| guide.may_search(acting));
+        self.guides = searching || schedule::guides(&self.exploration, before);
         if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
             guide.renew(acting, &self.obs);
         }
@@ -252,7 +253,10 @@ impl Worker {
             let action = match self.guide.as_mut().filter(|_| self.guides) {
                 None => self.policy.act(weights, obs, epsilon, rng),
                 Some(guide) => {
-                    let share = schedule::guide(&self.exploration, at);
+                    let (epsilon, share) = match guide.searches() {
+                        true => (self.exploration.epsilon_start, self.exploration.guide_start),
+                        false => (epsilon, schedule::guide(&self.exploration, at)),
+                    };
                     self.policy
                         .act_guided(weights, obs, epsilon, share, rng, |rng| guide.action(obs, acting, rng))
                 }

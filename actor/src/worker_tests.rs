@@ -171,7 +171,7 @@ fn episodes_are_left_to_themselves_where_bridges_lead_nowhere() {
     // Two steps are led and three are free, unless an episode gets on by itself.
     let free = led(&["mentor.learned.gate=false", "mentor.learned.idle=2", "mentor.learned.roam=3"]);
     assert!((200..500).contains(&free.steps) && free.progress > 5.0, "{free:?}");
-    let gated = led(&["mentor.learned.gate=true", "mentor.learned.idle=0"]);
+    let gated = led(&["mentor.learned.gate=true", "mentor.learned.idle=0", "mentor.learned.search=0"]);
     assert!((7..400).contains(&gated.steps) && gated.guided < 60 && gated.stuck == gated.guided, "{gated:?}");
 }
 
@@ -227,8 +227,27 @@ fn an_own_path_is_followed_and_remembered() {
 }
 
 #[test]
+fn the_first_success_is_looked_for_as_at_the_start_however_long_it_takes() {
+    let over = ["exploration.guide_end=0", "exploration.guide_decay_steps=1", "exploration.epsilon_end=0"];
+    let more = ["exploration.epsilon_decay_steps=1", "mentor.learned.search=1"];
+    let experiment = bridged_corridor(&[&over[..], &more].concat());
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let mut acting = leading(&experiment, 1);
+    let searching = guided_batches(&mut worker, &acting, 5, 4, 5);
+    assert!(searching.iter().all(|batch| actions(batch) == [1; 5]));
+    // The network goes west, and nothing else is left once there is an own path.
+    acting.own = trestle_proto::acting::OwnPlaces {
+        lengths: vec![6],
+        places: (0..6).flat_map(|x| [x as f32, 0.0]).collect(),
+    };
+    let found = guided_batches(&mut worker, &acting, 9, 4, 5);
+    assert!(found.iter().all(|batch| actions(batch) == [0; 5] && batch.header.guide == Tally::default()));
+}
+
+#[test]
 fn a_guide_is_played_alone_and_has_nothing_to_do_when_its_time_is_over() {
-    let experiment = bridged_corridor(&["exploration.guide_end=0", "exploration.guide_decay_steps=14"]);
+    let over = ["exploration.guide_end=0", "exploration.guide_decay_steps=14", "mentor.learned.search=0"];
+    let experiment = bridged_corridor(&over);
     let mut worker = Worker::new(&experiment, 0).unwrap();
     let before = worker.snapshot().unwrap();
     let played =

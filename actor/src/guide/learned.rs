@@ -9,7 +9,7 @@ use trestle_algorithm::similarity::Hit;
 use trestle_proto::acting::{Acting, OwnPlaces, Room};
 use trestle_proto::batch::Tally;
 use trestle_proto::experiment::Experiment;
-use trestle_proto::rng::Stream;
+use trestle_proto::rng::{Stream, below};
 use trestle_proto::space::Success;
 use trestle_qnet::{Layout, Workspace, argmax, forward, kernels_of};
 
@@ -26,6 +26,8 @@ pub struct Learned {
     success: Success,
     /// How many own paths there may be.
     room: Room,
+    /// Probability with which a step without a goal repeats the one before.
+    persist: f64,
 }
 
 /// Paths as π sees them, and working memory to find places on them.
@@ -62,6 +64,16 @@ pub struct Progress {
     total_reward: f64,
     /// The own paths that the tracker knows.
     own: OwnPlaces,
+    /// The last step, if it was the guide's and had no goal.
+    roamed: Option<Roamed>,
+}
+
+/// A step without a goal.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Roamed {
+    /// Where it was taken.
+    place: Vec<f32>,
+    action: u32,
 }
 
 impl Learned {
@@ -74,7 +86,7 @@ impl Learned {
         let Some(paths) = paths_of(experiment, &goal) else { return Ok(None) };
         let pace = Pace::of(&experiment.config.mentor.learned);
         let (tracker, own) = (Tracker::default(), OwnPlaces::default());
-        let progress = Progress { tracker, total_reward: 0.0, own };
+        let progress = Progress { tracker, total_reward: 0.0, own, roamed: None };
         let place = Vec::with_capacity(goal.dim());
         Ok(Some(Self {
             route: Route { goal, paths, pace, place, stack: Vec::new(), hits: Vec::new() },
@@ -85,6 +97,7 @@ impl Learned {
             tally: Tally::default(),
             success: experiment.success(),
             room: experiment.own_room(),
+            persist: experiment.config.mentor.learned.persist,
             layout,
         }))
     }
@@ -99,9 +112,19 @@ impl Learned {
         }
     }
 
+    /// Whether the episode looks for the first success, and explores as at a run's start.
+    pub fn searches(&self) -> bool {
+        self.progress.tracker.searches(&self.route.pace)
+    }
+
+    /// Whether an episode may still do so, whatever the schedules say.
+    pub fn may_search(&self, acting: &Acting) -> bool {
+        self.route.pace.search > 0.0 && acting.own.lengths.is_empty()
+    }
+
     /// An episode begins in `obs`. Draws one word, which decides whether it is guided.
     pub fn begin(&mut self, obs: &[f32], rng: &mut Stream) {
-        self.progress.total_reward = 0.0;
+        (self.progress.total_reward, self.progress.roamed) = (0.0, None);
         self.progress.tracker.begin(&self.route.pace, unit(rng));
         self.route.begin(&mut self.progress.tracker, obs);
     }
@@ -123,14 +146,30 @@ impl Learned {
         self.tally.progress += f64::from(tracker.furthest());
     }
 
-    /// An action of π in `obs`, drawn with one word of `rng`, if there is a goal to lead to. `params` are π's.
+    /// An action of π in `obs`, drawn with one word of `rng`, if there is a goal to lead to. `params` are π's. Where there is no goal and
+    /// steps persist, one of [`Learned::roam`].
     pub fn action(&mut self, obs: &[f32], params: &[f32], rng: &mut Stream) -> Option<u32> {
-        let goal = self.progress.tracker.goal(&self.route.paths, &self.route.pace)?;
+        let Some(goal) = self.progress.tracker.goal(&self.route.paths, &self.route.pace) else {
+            return (self.persist > 0.0).then(|| self.roam(obs, rng));
+        };
+        self.progress.roamed = None;
         self.route.goal.encode(obs, goal, &mut self.input);
         self.forward(params);
         softmax(&mut self.outputs);
         self.tally.steps += 1;
         Some(draw(&self.outputs, unit(rng)) as u32)
+    }
+
+    /// A step in `obs` without a goal: the last one again, unless it led nowhere, or another one. Draws a word, and half of one for
+    /// another one.
+    fn roam(&mut self, obs: &[f32], rng: &mut Stream) -> u32 {
+        let mut place = Vec::with_capacity(self.route.goal.dim());
+        self.route.goal.place(obs, &mut place);
+        let again = unit(rng) < self.persist;
+        let last = self.progress.roamed.take().filter(|last| again && last.place != place);
+        let action = last.map_or_else(|| below(rng, self.outputs.len()) as u32, |last| last.action);
+        self.progress.roamed = Some(Roamed { place, action });
+        action
     }
 
     /// A tracker at the beginning of a guided episode, for an agent that follows π alone.
@@ -168,7 +207,11 @@ impl Learned {
     /// Whether `progress` can be one of this guide.
     pub fn fits(&self, progress: &Progress) -> bool {
         let own = progress.own.lengths.iter().map(|&length| length as usize).sum();
+        let one = |last: &Roamed| {
+            last.place.len() == self.route.goal.dim() && (last.action as usize) < self.outputs.len()
+        };
         progress.total_reward.is_finite()
+            && progress.roamed.as_ref().is_none_or(one)
             && self.room.holds(&progress.own)
             && progress.tracker.fits(self.route.paths.mentor().len(), own)
     }

@@ -42,6 +42,16 @@ impl Guide {
         }
     }
 
+    /// Whether the episode looks for the first success, and explores as at a run's start.
+    pub fn searches(&self) -> bool {
+        matches!(self, Self::Learned(guide) if guide.searches())
+    }
+
+    /// Whether an episode may still do so, whatever the schedules say.
+    pub fn may_search(&self, acting: &Acting) -> bool {
+        matches!(self, Self::Learned(guide) if guide.may_search(acting))
+    }
+
     /// The action in `obs`, if the guide has one. A learned guide draws it from `rng`.
     pub fn action(&mut self, obs: &[f32], acting: &Acting, rng: &mut Stream) -> Option<u32> {
         match self {

@@ -67,6 +67,8 @@ pub struct Agent {
     /// Own paths, and what imitates them.
     own: Option<OwnPaths>,
     imitation: Option<Imitation>,
+    /// Episodes that succeeded.
+    successes: u64,
     /// Draws from the replay.
     rng: Stream,
     counters: Counters,
@@ -99,6 +101,10 @@ struct Settings {
     combine: CombineKind,
     draw: DrawKind,
     one_sided: bool,
+    /// Whether a policy is learnt as long as there is no own path, whatever the schedules say.
+    search: bool,
+    /// Successes after which imitation leaves values alone that exceed an own path's; 0: it never does.
+    improve: u64,
 }
 
 /// What the agent knows of the mentor.
@@ -185,6 +191,7 @@ impl Agent {
             hindsight,
             own: own_of(experiment)?,
             imitation: imitation_of(experiment)?,
+            successes: 0,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
@@ -329,6 +336,9 @@ impl Settings {
             combine: mentor.combine,
             draw: mentor.draw,
             one_sided: mentor.one_sided,
+            search: mentor.learned.search > 0.0,
+            // Shaped values are not those of an own path's rewards.
+            improve: if experiment.config.shaped() { 0 } else { mentor.learned.improve },
         })
     }
 }

@@ -16,7 +16,8 @@ impl Agent {
         let due = gradient_steps_due(from, to, learner.warmup, learner.train_every);
         self.trained_to = to;
         let mut stats = TrainStats::default();
-        let guides = guides(&self.settings.exploration, to);
+        let searches = self.settings.search && self.own.as_ref().is_some_and(|own| own.steps() == 0);
+        let guides = searches || guides(&self.settings.exploration, to);
         for _ in 0..due {
             self.gradient_step(&mut stats)?;
             if let Some(rival) = &mut self.rival {

@@ -63,6 +63,10 @@ pub fn resolve(
     if learned.features.is_empty() {
         learned.features = automatic(&settings.features, spec);
     }
+    // An episode cannot be told to have been the first success.
+    if !spec.defines_success {
+        learned.search = 0.0;
+    }
     let features = &learned.features;
     let ascending = features.is_sorted_by(|a, b| a < b);
     if !ascending || features.last().is_none_or(|&last| last >= dim) {
@@ -267,6 +271,16 @@ mod tests {
         let kept = resolved(given, &mentor(&[&[0.0, 6.0]])).unwrap();
         assert_eq!((kept.radius, kept.features), (0.25, vec![0, 1]));
         assert!(kept.lookahead > 100.0, "the velocity counts as well");
+    }
+
+    #[test]
+    fn without_successes_none_is_looked_for() {
+        for (defines_success, search) in [(true, 0.5), (false, 0.0)] {
+            let mut settings = config::Mentor::default();
+            let spec = EnvSpec { defines_success, ..spec() };
+            resolve(&mut settings, &spec, &mentor(&[&[0.0, 6.0]])).unwrap();
+            assert_eq!(settings.learned.search, search);
+        }
     }
 
     #[test]

@@ -16,7 +16,8 @@ use trestle_proto::rng::Stream;
 use trestle_proto::waypoints::Waypoints;
 use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, forward, init};
 
-const PACE: Pace = Pace { window: 10.0, lookahead: 1.0, gate: true, idle: 0, roam: 0 };
+const PACE: Pace =
+    Pace { window: 10.0, lookahead: 1.0, gate: true, idle: 0, roam: 0, back_off: 1.0, search: 0.0 };
 
 /// States of a position and a velocity, each from -8 to 8; goals are positions, in units of 2.
 fn goal() -> Goal {
@@ -275,6 +276,48 @@ fn a_guide_lets_go_for_a_while_where_it_does_not_get_on() {
     // There is nothing to lead to at the end.
     tracker.begin(&never, 0.0);
     assert_eq!(walk(&mut tracker, &paths, &never, &[3.0, 4.0, 3.0]), [Some(4.0), free, free]);
+}
+
+#[test]
+fn it_lets_go_for_longer_and_longer_before_the_first_success() {
+    let (paths, pace) = (five(), Pace { idle: 3, roam: 2, back_off: 2.0, ..PACE });
+    let mut tracker = Tracker::default();
+    let led = |tracker: &mut Tracker, places: &[f32]| -> String {
+        tracker.begin(&pace, 0.0);
+        let goals = walk(tracker, &paths, &pace, places);
+        goals.iter().map(|goal| if goal.is_some() { '+' } else { '-' }).collect()
+    };
+    let pinned = [&[0.0][..], &[1.0; 17]].concat();
+    assert_eq!(led(&mut tracker, &pinned), "++++--+++----+++--");
+    // It has come further meanwhile, so that the next time is as short as the first.
+    let passing = [&[0.0][..], &[1.0; 10], &[2.0; 8]].concat();
+    assert_eq!(led(&mut tracker, &passing), "++++--+++----+++--+");
+    tracker.renew();
+    assert_eq!(led(&mut tracker, &pinned), "++++--+++--+++--++");
+}
+
+#[test]
+fn a_guide_is_not_given_up_before_the_first_success_and_shares_the_steps_after_it() {
+    let (paths, pace) = (five(), Pace { search: 0.5, ..PACE });
+    let mut tracker = Tracker::default();
+    let episode = |tracker: &mut Tracker, steps: usize, success: bool| {
+        tracker.begin(&pace, 0.0);
+        walk(tracker, &paths, &pace, &vec![1.0; steps + 1]);
+        let seen = (tracker.guided(), tracker.searches(&pace));
+        tracker.finish(success);
+        (seen, tracker.chance(&pace))
+    };
+    assert_eq!(episode(&mut tracker, 1, false), ((true, true), 1.0));
+    for _ in 0..9 {
+        assert_eq!(episode(&mut tracker, 1, false), ((true, true), 0.5));
+    }
+    // Ten steps until the first success: as many may be guided at once, and then every other one.
+    tracker.renew();
+    assert_eq!(episode(&mut tracker, 10, true), ((true, false), 1.0));
+    assert_eq!(episode(&mut tracker, 5, true), ((true, false), 0.0));
+    assert_eq!(episode(&mut tracker, 4, true), ((false, false), 0.0));
+    assert_eq!(episode(&mut tracker, 1, true), ((false, false), 1.0));
+    assert_eq!(episode(&mut tracker, 1, true), ((true, false), 0.0));
 }
 
 #[test]

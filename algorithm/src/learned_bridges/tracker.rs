@@ -9,9 +9,15 @@
 //! episode got stuck if it neither succeeded nor came further than the record. After k such episodes in a row an episode is guided with
 //! probability 1 / (1 + k): where the guide cannot get on, the observer is soon left to itself.
 //!
+//! *Search.* As long as there is no own path, the probability is no less than `search`, since there is nothing yet that a guide could
+//! disturb.
+//!
+//! *Balance.* With own paths, guided episodes may take as many steps as it took to find the first one, and from then on as many as the
+//! other episodes: own paths are followed until they are learnt, and half of the exploration then looks for better ones.
+//!
 //! *Roaming.* Where a guided episode has not come further for `idle` steps, the guide lets go for `roam` steps, in which the
 //! observer explores freely, and then leads again: the mentor may have gone on where the observer cannot, and the way round begins
-//! elsewhere. At the end of a path there is nothing to lead to, and it lets go for good.
+//! elsewhere. As long as there is no own path, each time in a row is `back_off` times as long as the one before. At the end of a path there is nothing to lead to, and it lets go for good.
 
 use super::path::{Paths, Place};
 use crate::similarity::Hit;
@@ -29,9 +35,16 @@ pub struct Pace {
     pub gate: bool,
     /// Steps without progress after which the guide lets go; 0: it never does.
     pub idle: u64,
-    /// Steps for which it does.
+    /// Steps for which it does the first time.
     pub roam: u64,
+    /// By what each time in a row is longer than the one before, before there are own paths.
+    pub back_off: f64,
+    /// Least probability of a guided episode before there are own paths, 0 to 1.
+    pub search: f64,
 }
+
+/// Steps for which a guide lets go at most.
+const MOST_ROAMING: f64 = 1e9;
 
 impl Pace {
     /// By resolved settings.
@@ -42,6 +55,8 @@ impl Pace {
             gate: settings.gate,
             idle: settings.idle,
             roam: settings.roam,
+            back_off: settings.back_off,
+            search: settings.search,
         }
     }
 }
@@ -67,19 +82,38 @@ pub struct Tracker {
     roaming: u64,
     /// Guided episodes in a row that got stuck.
     stuck: u32,
+    /// Times in a row that the guide has let go in this episode, without coming further.
+    lapses: u32,
+    /// Whether there are own paths.
+    own: bool,
+    /// Steps before there were own paths.
+    sought: u64,
+    /// Steps since then in episodes that are guided, and in others.
+    led: u64,
+    free: u64,
 }
 
 impl Tracker {
     /// The probability with which the next episode is guided.
     pub fn chance(&self, pace: &Pace) -> f64 {
-        if pace.gate { 1.0 / (1.0 + f64::from(self.stuck)) } else { 1.0 }
+        let least = if self.own { 0.0 } else { pace.search };
+        match pace.gate {
+            true if self.own && self.led > self.sought.saturating_add(self.free) => 0.0,
+            true => (1.0 / (1.0 + f64::from(self.stuck))).max(least),
+            false => 1.0,
+        }
     }
 
     /// Begins an episode; `u`, in [0, 1), decides whether it is guided.
     pub fn begin(&mut self, pace: &Pace, u: f64) {
         self.guided = u < self.chance(pace);
         (self.at, self.furthest, self.news) = (None, None, false);
-        (self.steps, self.led_from, self.roaming) = (0, 0, 0);
+        (self.steps, self.led_from, self.roaming, self.lapses) = (0, 0, 0, 0);
+    }
+
+    /// Whether this episode looks for the first success: it is guided, and there is no own path.
+    pub fn searches(&self, pace: &Pace) -> bool {
+        self.guided && !self.own && pace.search > 0.0
     }
 
     /// Ends an episode, which may have been a success. Returns whether it got stuck.
@@ -96,10 +130,10 @@ impl Tracker {
         !success && !self.news
     }
 
-    /// Own paths have changed: what was found out about the former ones does not count any more.
+    /// Own paths have changed, and there are some: what was found out about the former ones does not count any more.
     pub fn renew(&mut self) {
         self.at = self.at.filter(|at| !at.own);
-        (self.furthest, self.record, self.stuck) = (None, 0.0, 0);
+        (self.furthest, self.record, self.stuck, self.own) = (None, 0.0, 0, true);
     }
 
     /// Takes in the place that a step has led to, as [`Tracker::observe`] does.
@@ -112,6 +146,11 @@ impl Tracker {
         hits: &mut Vec<Hit>,
     ) {
         self.steps += 1;
+        *match (self.own, self.guided) {
+            (false, _) => &mut self.sought,
+            (true, true) => &mut self.led,
+            (true, false) => &mut self.free,
+        } += 1;
         self.observe(paths, pace, place, stack, hits);
         if self.roaming > 0 {
             self.roaming -= 1;
@@ -119,7 +158,9 @@ impl Tracker {
                 self.led_from = self.steps;
             }
         } else if pace.idle > 0 && self.steps - self.led_from >= pace.idle {
-            self.roaming = pace.roam;
+            let longer = if self.own { 1.0 } else { pace.back_off.powi(self.lapses.min(1000) as i32) };
+            self.roaming = (pace.roam as f64 * longer).min(MOST_ROAMING) as u64;
+            self.lapses = self.lapses.saturating_add(1);
         }
     }
 
@@ -147,7 +188,7 @@ impl Tracker {
         let share = paths.of(at).share(number as usize);
         if self.furthest.is_none_or(|furthest| share > furthest) {
             self.furthest = Some(share);
-            self.led_from = self.steps;
+            (self.led_from, self.lapses) = (self.steps, 0);
         }
         if share > self.record {
             (self.record, self.news) = (share, true);

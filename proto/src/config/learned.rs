@@ -29,12 +29,22 @@ settings! {
         window: f64 = 0.0, at_least(0.0);
         /// How far ahead along the path the goal lies. 0: three strides.
         lookahead: f64 = 0.0, at_least(0.0);
-        /// Whether an episode is guided with probability 1 / (1 + k) after k guided ones in a row that got stuck; else each is.
+        /// Whether an episode is guided with probability 1 / (1 + k) after k guided ones in a row that got stuck, and, once there are own
+        /// paths, guided episodes leave as many steps to others. Else each episode is guided.
         gate: bool = true;
         /// Steps of an episode without progress after which the guide lets go. 0: it never does.
         idle: u64 = 40;
         /// Steps for which it lets go then.
         roam: u64 = 50;
+        /// How many times as long it lets go each time as the time before, in an episode that comes no further and as long as the
+        /// observer has not come to success. 1: equally long.
+        back_off: f64 = 2.0, between(1.0, 1000.0);
+        /// Probability with which a step that would be guided, but has no goal, repeats the action before it, unless that led nowhere.
+        /// Otherwise its action is random. 0: all are random.
+        persist: f64 = 0.7, between(0.0, 1.0);
+        /// Least probability with which an episode is guided as long as the observer has not come to success; such an episode explores
+        /// as a run's first step does. 0: the gate and the schedules alone decide. Only where the environment defines success.
+        search: f64 = 0.5, between(0.0, 1.0);
         /// Paths of the observer's own that are kept at most: how it once came to success, without the loops. The guide leads along
         /// them rather than along the mentor's. 0: none.
         own_paths: usize = 16, between(0, MAX_OWN_PATHS);
@@ -42,5 +52,8 @@ settings! {
         imitate: f64 = 0.0, at_least(0.0);
         /// By how much the value of an own path's action is to exceed those of all others.
         margin: f64 = 0.1, at_least(0.0);
+        /// Successes after which a step of an own path is no longer imitated where a value exceeds its return by more than the margin.
+        /// 0: all are imitated for ever.
+        improve: u64 = 50;
     }
 }
