@@ -21,6 +21,9 @@ pub struct Found {
     pub gymnasium: String,
     /// Name for people.
     pub name: String,
+    /// The directory where it was found, in which its modules may lie; none in runs that did not keep it.
+    #[serde(default)]
+    pub directory: Option<String>,
     /// The space of observations, as the host takes it.
     pub space: serde_json::Value,
     /// The features that the agent observes.

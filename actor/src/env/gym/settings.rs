@@ -15,7 +15,8 @@ settings! {
         /// The environment as `gymnasium.make` takes it, such as `CartPole-v1`, or `package:Name-v0` for one that a package
         /// registers.
         id: String = String::new(), any("an id of Gymnasium's, such as CartPole-v1 or package:Name-v0");
-        /// In place of an id: a class, or a function that makes the environment, as `module:name`.
+        /// In place of an id: a class, or a function that makes the environment, as `module:name`. Modules are looked for in the
+        /// working directory, and later in that where the run was started.
         make: Option<String> = None, any::<String>("module:name");
         /// Arguments by name that the environment is made with.
         kwargs: Kwargs = Kwargs::default(), any("a table of arguments by name");
