@@ -52,10 +52,10 @@ def steps_so_far(out):
 
 
 def joined(out):
-    """How many actors of other hosts a run has now."""
+    """How many actors of other hosts a run has now that have heard of it: their hosts have acknowledged something."""
     path = Path(out) / "hosts.csv"
     rows = [line.split(",") for line in path.read_text().splitlines()[1:]] if path.exists() else []
-    return sum(len(row[1].split()) for row in rows if row[2] == "joined")
+    return sum(len(row[1].split()) for row in rows if row[2] == "joined" and row[3])
 
 
 def until(what, condition, process):
