@@ -130,8 +130,7 @@ pub(crate) struct Train {
 impl Train {
     /// What `--set` says, and `--algo` after it: an algorithm brings along defaults of its own.
     pub(crate) fn sets(&self) -> Vec<String> {
-        let algo = self.algo.map(|algo| format!("run.algo={:?}", algo.name()));
-        self.source.sets.iter().cloned().chain(algo).collect()
+        with_algo(&self.source.sets, self.algo)
     }
 
     /// Sets what the other flags say.
@@ -626,16 +625,55 @@ pub(crate) struct MapImport {
     pub(crate) overwrite: bool,
 }
 
+/// A configuration with the flags of `train` that stand for settings.
+#[derive(Debug, Args)]
+pub(crate) struct Typed {
+    #[command(flatten)]
+    pub(crate) source: Source,
+    #[arg(long, value_parser = word::<Algo>(), help = help("run.algo"))]
+    pub(crate) algo: Option<Algo>,
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"), help = help("run.seed"))]
+    pub(crate) seed: Option<u64>,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
+    #[arg(long, value_parser = word::<Mode>(), help = help("run.mode"))]
+    pub(crate) mode: Option<Mode>,
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u32>("run.actors"), help = help("run.actors"))]
+    pub(crate) actors: Option<u32>,
+}
+
+impl Typed {
+    /// As [`Train::sets`].
+    pub(crate) fn sets(&self) -> Vec<String> {
+        with_algo(&self.source.sets, self.algo)
+    }
+
+    /// As [`Train::apply`].
+    pub(crate) fn apply(&self, config: &mut Settings) {
+        let run = &mut config.run;
+        run.seed = self.seed.unwrap_or(run.seed);
+        run.mode = self.mode.unwrap_or(run.mode);
+        run.actors = self.actors.unwrap_or(run.actors);
+        self.limits.apply(config);
+    }
+}
+
+/// What `--set` says, and `--algo` after it: an algorithm brings along defaults of its own.
+fn with_algo(sets: &[String], algo: Option<Algo>) -> Vec<String> {
+    let algo = algo.map(|algo| format!("run.algo={:?}", algo.name()));
+    sets.iter().cloned().chain(algo).collect()
+}
+
 #[derive(Debug, Subcommand)]
 pub(crate) enum Config {
     /// Print every setting of a configuration
-    Show(Source),
+    Show(Typed),
     /// Say whether a run could start with a configuration
-    Check(Source),
+    Check(Typed),
     /// Print settings with type, default, what is accepted, and what they are for
     List {
-        /// A setting or a table, such as run.actors or learner; everything if not given
-        #[arg(value_name = "KEY")]
+        /// A setting or a table, such as run.actors or learner, or a preset for the settings that it changes; everything if not given
+        #[arg(value_name = "KEY|PRESET")]
         key: Option<String>,
     },
 }

@@ -13,6 +13,74 @@ use std::process::ExitCode;
 use trestle_actor::env::{Identity, Kind, Registry, identify, install};
 
 /// The program `trestle` with the environments that a configuration can choose.
+///
+/// A program with an environment of its own, which `[env.line]` sets:
+///
+/// ```no_run
+/// use trestle::config::{self, accepts::between};
+/// use trestle::env::{EnvError, Environment, Kind, Step};
+/// use trestle::{EnvSpec, Stream, codec, rand::Rng, settings};
+///
+/// settings! {
+///     /// `[env.line]`
+///     pub struct Settings {
+///         /// Cells of a step.
+///         stride: u32 = 1, between(1, 3);
+///     }
+/// }
+///
+/// struct Line { spec: EnvSpec, stride: f32, at: f32, steps: u32, step_limit: u32 }
+///
+/// impl Kind for Line {
+///     type Settings = Settings;
+///     const ABOUT: &'static str = "A walk to the end of a line.";
+///
+///     fn new(settings: &Settings, env: &config::Env) -> Result<Self, EnvError> {
+///         let actions: &[&str] = if settings.stride == 1 { &["back", "on"] } else { &["leap back", "leap on"] };
+///         let spec = EnvSpec { threshold: Some(0.5), ..EnvSpec::of("line", &[[0.0, 20.0]], actions) };
+///         let (stride, step_limit) = (settings.stride as f32, env.step_limit);
+///         Ok(Self { spec, stride, at: 0.0, steps: 0, step_limit })
+///     }
+/// }
+///
+/// const SNAPSHOT: codec::Kind = codec::Kind { magic: *b"LINE\0\0\0\0", version: 1 };
+///
+/// impl Environment for Line {
+///     fn spec(&self) -> &EnvSpec {
+///         &self.spec
+///     }
+///
+///     fn reset(&mut self, rng: &mut Stream, obs: &mut [f32]) -> Result<(), EnvError> {
+///         (self.at, self.steps) = (rng.random_range(0..5) as f32, 0);
+///         obs[0] = self.at;
+///         Ok(())
+///     }
+///
+///     fn step(&mut self, action: u32, obs: &mut [f32]) -> Result<Step, EnvError> {
+///         let way = if action == 1 { self.stride } else { -self.stride };
+///         (self.at, self.steps) = ((self.at + way).clamp(0.0, 20.0), self.steps + 1);
+///         obs[0] = self.at;
+///         let terminated = self.at == 20.0;
+///         let truncated = !terminated && self.steps == self.step_limit;
+///         Ok(Step { reward: if terminated { 1.0 } else { 0.0 }, terminated, truncated, success: false })
+///     }
+///
+///     fn snapshot(&self) -> Result<Vec<u8>, EnvError> {
+///         Ok(codec::encode(SNAPSHOT, &(self.at, self.steps))?)
+///     }
+///
+///     fn restore(&mut self, bytes: &[u8]) -> Result<(), EnvError> {
+///         (self.at, self.steps) = codec::decode(SNAPSHOT, bytes)?;
+///         Ok(())
+///     }
+/// }
+///
+/// fn main() -> std::process::ExitCode {
+///     trestle::Program::new().environment::<Line>("line").main()
+/// }
+/// ```
+///
+/// A test of it: `trestle::env::check::<Line>("line", &["env.stride=2"])` plays it, saves it, restores it and compares.
 pub struct Program {
     environments: Registry,
     again: Vec<String>,

@@ -48,6 +48,7 @@ fn presets_are_shown_and_checked() {
         let parsed = config::parse_toml(preset, &shown.stdout).unwrap();
         assert_eq!(parsed, config::load(registry(), preset, &[]).unwrap());
         let checked = trestle(&["config", "check", preset]).ok();
+        trestle(&["config", "check", preset, "--algo", "dqn", "--seed", "3", "--env-steps", "9"]).ok();
         assert!(checked.stdout.contains("a run could start"), "{checked:?}");
         // What a run counts as solved by: a maze knows its best return, the others name theirs.
         assert!(["best return", "threshold"].iter().any(|goal| checked.stdout.contains(goal)), "{checked:?}");

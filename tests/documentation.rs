@@ -157,6 +157,23 @@ fn refusals_are_quoted_as_they_are_said() {
     said(formats);
 }
 
+/// The program of docs/own-environment.md is the one that a documentation test compiles.
+#[test]
+fn the_environment_of_the_page_compiles() {
+    let read = |path: &str| fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap();
+    let (page, source) = (read("docs/own-environment.md"), read("deploy/program.rs"));
+    let between = |text: &str, begin: &str, end: &str| {
+        let (_, rest) = text.split_once(begin).unwrap();
+        rest.split_once(end).unwrap().0.to_string()
+    };
+    let compiled = between(&source, "/// ```no_run\n", "/// ```\n");
+    let compiled: String =
+        compiled.lines().map(|line| format!("{}\n", line[3..].trim_start_matches(' '))).collect();
+    let shown = between(&page, "```rust\n", "```\n");
+    let shown: String = shown.lines().map(|line| format!("{}\n", line.trim_start_matches(' '))).collect();
+    assert_eq!(shown, compiled);
+}
+
 /// An environment is its folder and a line of the registry: nothing else names its modules.
 #[test]
 fn nothing_but_the_registry_names_an_environment() {
@@ -219,6 +236,12 @@ fn settings_are_listed_and_found() {
     );
     let table = trestle(&["config", "list", "eval"]).ok().stdout;
     assert!(table.contains("eval.tolerance: number, default 0.5, accepted: 0 or more\n"), "{table}");
+    let changed = trestle(&["config", "list", "gym"]).ok().stdout;
+    assert!(
+        changed.contains("env.step_limit: whole number, 10000 with gym, elsewhere default 4000"),
+        "{changed}"
+    );
+    assert!(changed.contains("run.algo:") && !changed.contains("learner.gamma:"), "{changed}");
     trestle(&["config", "list", "lerner"]).refused(&["lerner", "did you mean `learner`?"]);
     trestle(&["config", "list", "gamma"]).refused(&["gamma", "did you mean `learner.gamma`?"]);
 }

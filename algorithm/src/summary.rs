@@ -54,6 +54,11 @@ pub struct Summary {
     pub features: Vec<(String, f32, f32)>,
     /// KL between mentor states 1, 2, ... mentor steps apart, as far as any trajectory has such pairs.
     pub apart: Vec<Apart>,
+    /// Categories that are compared beside numbers: the mentor steps that change each, by its number. Empty where all that is
+    /// compared are categories, whose changes are the mentor's way.
+    pub changes: Vec<(usize, usize)>,
+    /// Mentor steps that change any of these.
+    pub changing: usize,
     /// The KL of the middle push: of the velocities' changes over one mentor step, those no smaller add up to half of the sum
     /// of all, as distances. None if it was not asked for, or no velocity changes.
     pub pushed: Option<f32>,
@@ -106,7 +111,10 @@ pub fn summarise(demo: &Demonstration, metric: &Metric, n: usize, velocities: &[
         let (low, high) = column.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &x| (l.min(x), h.max(x)));
         (name.clone(), low, high)
     };
+    let (changes, changing) = changes(demo, metric);
     Summary {
+        changes,
+        changing,
         trajectories: count,
         terminal: (0..count).filter(|&i| demo.terminal(i)).count(),
         states: demo.n_states(),
@@ -117,6 +125,20 @@ pub fn summarise(demo: &Demonstration, metric: &Metric, n: usize, velocities: &[
         apart,
         pushed: pushed(demo, metric, velocities),
     }
+}
+
+/// See [`Summary::changes`] and [`Summary::changing`].
+fn changes(demo: &Demonstration, metric: &Metric) -> (Vec<(usize, usize)>, usize) {
+    let categories = if metric.numbers() > 0 { metric.categories() } else { &[] };
+    let steps = || {
+        let all = (0..demo.n_trajectories()).map(move |i| demo.trajectory(i));
+        all.flat_map(|states| states.clone().zip(states.skip(1)))
+    };
+    let changed = |feature: usize, [m, next]: [usize; 2]| demo.state(m)[feature] != demo.state(next)[feature];
+    let count =
+        |&feature: &usize| (feature, steps().filter(|&(m, next)| changed(feature, [m, next])).count());
+    let any = |&(m, next): &(usize, usize)| categories.iter().any(|&feature| changed(feature, [m, next]));
+    (categories.iter().map(count).collect(), steps().filter(any).count())
 }
 
 /// See [`Summary::pushed`].
@@ -200,8 +222,35 @@ impl Summary {
                  what the mentor did. Accepted without this warning: up to {step}, or auto"
             )
         });
-        swallowed.into_iter().chain(still).collect()
+        swallowed.into_iter().chain(still).chain(self.warning_of_categories()).collect()
     }
+
+    /// A warning where most of the mentor's steps change a category: only an observer whose body changes it in the same way comes
+    /// near the mentor's states.
+    fn warning_of_categories(&self) -> Option<String> {
+        (2 * self.changing > self.transitions).then(|| {
+            format!(
+                "{} of {} mentor steps change a category, and states of different categories are never near each other: {}. \
+                 Accepted without this warning: mentor.features without what the observer's body does not share",
+                self.changing,
+                self.transitions,
+                self.changes_in_words()
+            )
+        })
+    }
+
+    /// The categories that change, and how often.
+    fn changes_in_words(&self) -> String {
+        let changing = self.changes.iter().filter(|(_, count)| *count > 0);
+        let words: Vec<String> =
+            changing.map(|&(feature, count)| format!("{} in {count}", self.features[feature].0)).collect();
+        if words.is_empty() { "none".into() } else { words.join(", ") }
+    }
+}
+
+/// A KL divergence for people: that of different categories is no number.
+fn shown(kl: f32) -> String {
+    if kl < DIFFERENT { kl.to_string() } else { "different".into() }
 }
 
 /// Warnings where next to nothing that an observer does can ever match the mentor, with the figures. Only for states that are not
@@ -267,7 +316,11 @@ impl fmt::Display for Summary {
         for (name, low, high) in &self.features {
             writeln!(f, "feature       {name}: {low} to {high}")?;
         }
-        for Apart { steps, pairs, kl: Spread { min, median, max }, tenths: [low, high], .. } in &self.apart {
+        if !self.changes.is_empty() {
+            writeln!(f, "categories    steps that change them: {}", self.changes_in_words())?;
+        }
+        for Apart { steps, pairs, kl, tenths, .. } in &self.apart {
+            let [min, low, median, high, max] = [kl.min, tenths[0], kl.median, tenths[1], kl.max].map(shown);
             writeln!(
                 f,
                 "KL, {steps:>2} apart  min {min}, 10% {low}, median {median}, 90% {high}, max {max} ({pairs} pairs)"
@@ -376,6 +429,7 @@ mod tests {
         let auto = |states: &[f32], features: Vec<usize>| {
             let mut demo = Demonstration::new(vec!["x".into(), "room".into()]).unwrap();
             demo.push_trajectory(states, true).unwrap();
+            let features = config::Features::Numbers(features);
             let mentor = config::Mentor { features, ..config::Mentor::default() };
             let metric = Metric::of(&mentor, &spec, demo.states()).unwrap();
             let summary = summarise(&demo, &metric, 1, &[]);
@@ -390,6 +444,41 @@ mod tests {
         assert_eq!(auto(&states, vec![0]), Some(steps));
         assert_eq!(auto(&states, vec![1]), Some(Auto { e_th: 0.125, e_infeas: 0.125 }));
         assert_eq!(auto(&[3.0, 1.0, 5.0, 1.0], vec![1]), None);
+    }
+
+    #[test]
+    fn categories_that_most_steps_change_are_warned_of_by_name() {
+        let spec = EnvSpec {
+            element: Element::F32,
+            shape: Vec::new(),
+            low: vec![0.0; 3],
+            high: vec![20.0; 3],
+            scale: vec![1.0; 3],
+            integral: false,
+            categories: vec![1, 2],
+            velocities: Vec::new(),
+            ..crate::testing::spec()
+        };
+        let summary = |states: &[f32], features: &[usize]| {
+            let mut demo = Demonstration::new(["x", "heading", "key"].map(String::from).into()).unwrap();
+            demo.push_trajectory(states, true).unwrap();
+            let features = config::Features::Numbers(features.to_vec());
+            let mentor = config::Mentor { features, ..config::Mentor::default() };
+            summarise(&demo, &Metric::of(&mentor, &spec, demo.states()).unwrap(), 1, &[])
+        };
+        let turning = [0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 2.0, 0.0, 1.0, 3.0, 0.0, 1.0, 4.0, 2.0, 1.0];
+        let all = summary(&turning, &[]);
+        assert_eq!((all.changing, &all.changes[..]), (3, &[(1, 3), (2, 1)][..]));
+        let [warning] = &all.warnings(0.1, 0.1)[..] else { panic!("one") };
+        assert!(warning.starts_with("3 of 4 mentor steps change a category"), "{warning}");
+        assert!(warning.contains("heading in 3, key in 1. Accepted without this warning: mentor.features"));
+        let text = all.to_string();
+        assert!(text.contains("categories    steps that change them: heading in 3, key in 1"), "{text}");
+        assert!(text.contains("median different, 90% different, max different (4 pairs)"), "{text}");
+        // Without the heading, and where there is nothing but categories.
+        for features in [&[0, 2][..], &[1, 2], &[0]] {
+            assert_eq!(summary(&turning, features).warnings(0.1, 0.1), [] as [String; 0], "{features:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `trestle config`
 
-use crate::cli::{Config, Source};
+use crate::cli::{Config, Typed};
 use crate::prepare;
 use crate::status::ExitCode;
 use anyhow::{Result, bail};
@@ -15,11 +15,11 @@ const MAX_SHOWN: usize = 24;
 pub(super) fn run(args: &Config) -> Result<ExitCode> {
     match args {
         Config::List { key } => list(key.as_deref())?,
-        Config::Show(source) => show(&load(source)?)?,
-        Config::Check(source) => {
-            let resolved = prepare::resolve(load(source)?)?;
+        Config::Show(typed) => show(&load(typed)?)?,
+        Config::Check(typed) => {
+            let resolved = prepare::resolve(load(typed)?)?;
             let spec = &resolved.spec;
-            outln!("{}: a run could start", source.config);
+            outln!("{}: a run could start", typed.source.config);
             outln!(
                 "  environment    {}, {} features, actions {}",
                 spec.name,
@@ -33,6 +33,7 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             if let Some(best) = spec.best_return {
                 outln!("  best return    {best:.2}");
             }
+            outln!("  step limit     {} (env.step_limit)", resolved.config.env.step_limit);
             if let Some(threshold) = resolved.config.eval.threshold.or(resolved.spec.threshold) {
                 outln!("  threshold      {threshold:.3}");
             }
@@ -57,7 +58,7 @@ fn numbered(names: &[&str], spec: &EnvSpec) -> String {
     shown.join(", ") + if names.len() > MAX_SHOWN { ", ..." } else { "" }
 }
 
-/// Prints the setting `key`, the settings of the table `key`, or all.
+/// Prints the setting `key`, the settings of the table `key`, those that the preset `key` changes, or all.
 fn list(key: Option<&str>) -> Result<()> {
     let all = config::declared(registry());
     let below = |key: &str, of: &str| {
@@ -65,6 +66,9 @@ fn list(key: Option<&str>) -> Result<()> {
     };
     let asked: Vec<_> = all.iter().filter(|setting| key.is_none_or(|key| below(key, &setting.key))).collect();
     if let Some(key) = key.filter(|_| asked.is_empty()) {
+        if is_preset(key) {
+            return list_changed(key, &all);
+        }
         let elsewhere = all.iter().find(|setting| setting.name() == key);
         let known = all.iter().flat_map(|setting| [setting.key.as_str(), setting.table()]);
         let hint = elsewhere
@@ -78,6 +82,25 @@ fn list(key: Option<&str>) -> Result<()> {
         for (word, meaning) in choices.iter().filter(|_| key.is_some()) {
             outln!("    {word}: {meaning}");
         }
+    }
+    Ok(())
+}
+
+/// Whether `name` is a preset, or an environment that is one, such as `gym`.
+fn is_preset(name: &str) -> bool {
+    registry().presets().iter().any(|preset| preset.name == name) || registry().shorthand(name).is_some()
+}
+
+/// Prints those of `all` settings that the preset `name` changes.
+fn list_changed(name: &str, all: &[config::Setting]) -> Result<()> {
+    let table: config::Table = config::to_toml(&config::load(registry(), name, &[])?).parse()?;
+    for config::Setting { key, kind, default, accepted, help, .. } in all {
+        let default_is = |own: &config::Value| {
+            format!("value = {default}").parse::<config::Table>().is_ok_and(|table| table["value"] == *own)
+        };
+        let Some(own) = find(&table, key).filter(|own| !default_is(own)) else { continue };
+        outln!("{key}: {kind}, {own} with {name}, elsewhere default {default}, accepted: {accepted}");
+        outln!("    {help}");
     }
     Ok(())
 }
@@ -102,6 +125,6 @@ fn find<'a>(table: &'a config::Table, key: &str) -> Option<&'a config::Value> {
     }
 }
 
-fn load(source: &Source) -> Result<config::Config> {
-    Ok(config::load(registry(), &source.config, &source.sets)?)
+fn load(typed: &Typed) -> Result<config::Config> {
+    Ok(config::load_with(registry(), &typed.source.config, &typed.sets(), |config| typed.apply(config))?)
 }

@@ -1,6 +1,7 @@
 //! From a configuration to a run that is ready to start, or a refusal that leaves nothing behind.
 //!
 //! - `resolve`: the configuration meets its environment and its demonstrations, and becomes an experiment;
+//! - `columns`: which features of a state the columns of a demonstration are;
 //! - `possible`: whether the environment can be in what was demonstrated;
 //! - `probes`: what the machine must offer;
 //! - `aside`: where a run is that is being replaced or removed;
@@ -12,6 +13,7 @@
 //! Everything that can be refused is refused before the first file is written.
 
 mod aside;
+mod columns;
 mod directory;
 mod fence;
 mod ground;

@@ -90,6 +90,14 @@ fn count(
 /// A warning where the features have the names of the environment's in another order.
 fn by_names(path: &Path, demonstration: &Demonstration, env: &dyn Environment) -> Option<String> {
     let (own, expected) = (demonstration.names(), env.features());
+    if let Some(unknown) = unknown(own, &expected) {
+        return Some(format!(
+            "mentor.demo = {}: {} has no feature called {unknown}, so its columns are taken in their order, as {}",
+            path.display(),
+            env.spec().name,
+            expected.join(", ")
+        ));
+    }
     let place = |name: &&str| own.iter().position(|own| own.trim().eq_ignore_ascii_case(name));
     let order: Vec<usize> = expected.iter().map(place).collect::<Option<_>>()?;
     if order.is_empty() || order.iter().enumerate().all(|(i, &place)| i == place) {
@@ -107,6 +115,18 @@ fn by_names(path: &Path, demonstration: &Demonstration, env: &dyn Environment) -
         env.spec().name,
         expected.join(", ")
     ))
+}
+
+/// The names among `own` that are those of no feature; none where the features have no names, or where the columns have none: then
+/// they are numbered, as `trestle demo record` numbers them.
+fn unknown(own: &[String], expected: &[&str]) -> Option<String> {
+    let numbered = |(i, name): (usize, &String)| *name == format!("s{i}");
+    if expected.is_empty() || own.iter().enumerate().all(numbered) {
+        return None;
+    }
+    let known = |name: &str| expected.iter().any(|expected| name.trim().eq_ignore_ascii_case(expected));
+    let unknown: Vec<&str> = own.iter().map(String::as_str).filter(|name| !known(name)).collect();
+    (!unknown.is_empty()).then(|| unknown.join(", "))
 }
 
 /// Which features must be swapped so that every state is possible; none where that does not help.
@@ -173,7 +193,12 @@ mod tests {
     fn names_in_another_order_are_a_warning() {
         let states: [&[f32]; 3] = [&[0.0, 0.0], &[1.0, 0.0], &[2.0, 0.0]];
         let maze = |names: [&str; 2]| named(World::Cells, &states, &names.map(String::from)).unwrap();
-        assert_eq!([maze(["column", "row"]), maze(["a", "b"])], [None, None]);
+        assert_eq!([maze(["column", "row"]), maze(["s0", "s1"])], [None, None]);
+        let unknown = maze(["column", "b"]).unwrap();
+        assert!(
+            unknown
+                .contains("has no feature called b, so its columns are taken in their order, as column, row")
+        );
         let warning = maze(["row", "column"]).unwrap();
         assert!(warning.contains("are called row, column, but those of maze"), "{warning}");
         assert!(

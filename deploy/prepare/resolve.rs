@@ -1,7 +1,7 @@
 //! From a configuration to an experiment, or a refusal. Nothing is written here.
 
-use super::possible;
 use super::probes::Needs;
+use super::{columns, possible};
 use anyhow::{Context, Result, bail, ensure};
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -110,6 +110,7 @@ pub(crate) fn resolve_run(root: &Path, typed: &Config) -> Result<Resolved> {
         meet(own).with_context(|| format!("--resume: a run with the settings in {}", path.display()))?;
     resolved.config.mentor.demo = demo;
     typed.mentor.metric = typed.mentor.metric.of(&resolved.spec);
+    look_up(&mut typed, registry().build(&resolved.config.env)?.as_ref())?;
     let own = &resolved.config;
     if let Some(mentors) = &resolved.mentors {
         mentors.resolve(&mut typed, &resolved.spec)?;
@@ -158,6 +159,7 @@ fn meet(mut config: Config) -> Result<Resolved> {
     let env = registry().build(&config.env)?;
     let mut spec = env.spec().clone();
     config.mentor.metric = config.mentor.metric.of(&spec);
+    look_up(&mut config, env.as_ref())?;
     if config.rival.kind == RivalKind::Resets && !env.can_be_put() {
         bail!(EnvError::CannotBePut { env: spec.name });
     }
@@ -187,6 +189,12 @@ fn meet(mut config: Config) -> Result<Resolved> {
     Ok(resolved)
 }
 
+/// Puts numbers in the place of the names of features.
+fn look_up(config: &mut Config, env: &dyn Environment) -> Result<()> {
+    let dim = env.spec().obs_dim();
+    Ok(config.mentor.features.resolve("mentor.features", &env.features(), dim)?)
+}
+
 /// The demonstrations that `config` names.
 fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     let mut warnings = Vec::new();
@@ -203,7 +211,13 @@ fn mentors(config: &Config, env: &dyn Environment) -> Result<Mentors> {
     let mentor = &config.mentor;
     let metric = Metric::of(mentor, env.spec(), all.states())?;
     let velocities = if mentor.metric == MetricKind::Delta { &env.spec().velocities[..] } else { &[] };
-    let summary = summarise(&all, &metric, mentor.n as usize, velocities);
+    let mut summary = summarise(&all, &metric, mentor.n as usize, velocities);
+    // The names of a recording without names are numbers, which say less.
+    for ((number, (own, ..)), name) in summary.features.iter_mut().enumerate().zip(env.features()) {
+        if *own == format!("s{number}") {
+            *own = name.to_string();
+        }
+    }
     Ok(Mentors { each, all, summary, metric, warnings })
 }
 
@@ -223,13 +237,7 @@ fn demonstration(
     }
     let path = Path::new(source);
     let demonstration = demo_file::read(path)?;
-    let (found, expected) = (demonstration.dim(), spec.obs_dim());
-    ensure!(
-        found == expected,
-        "mentor.demo = {}: its states have {found} features; accepted: {expected}, as in {}",
-        path.display(),
-        spec.name
-    );
+    let demonstration = columns::complete(config, path, demonstration, env)?;
     let warning = possible::check(path, &demonstration, env)?;
     Ok((demonstration, warning))
 }
@@ -240,6 +248,13 @@ impl Resolved {
         let mentor = &self.config.mentor;
         // A resolved configuration's settings are accepted.
         let mut warnings = registry().warnings(&self.config.env).unwrap_or_default();
+        if self.threshold().is_none() && !self.spec.defines_success {
+            warnings.push(format!(
+                "nothing says which return of {} counts as solved, so no run is, and `trestle demo record` knows no success; \
+                 eval.threshold says it",
+                self.spec.name
+            ));
+        }
         let Some(mentors) = &self.mentors else { return warnings };
         warnings.extend(mentors.warnings.iter().cloned());
         let annotates = self.config.run.algo.has_mentor();
@@ -252,6 +267,11 @@ impl Resolved {
             }
         }
         warnings
+    }
+
+    /// The return that counts as solved, if one is known.
+    pub(crate) fn threshold(&self) -> Option<f64> {
+        self.config.eval.threshold.or(self.spec.threshold).or(self.spec.best_return)
     }
 
     /// What the run computes.

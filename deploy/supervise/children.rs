@@ -26,7 +26,7 @@ use tokio::process::{self, ChildStdout, Command};
 use tokio::sync::{mpsc, oneshot};
 use trestle_actor::env::registry;
 use trestle_learner::record::Progress;
-use trestle_link::log_file;
+use trestle_link::{log_file, logging};
 use trestle_proto::config::{self, Mode};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::regular_file;
@@ -57,6 +57,9 @@ impl fmt::Display for Role {
         }
     }
 }
+
+/// The status of a process that panicked.
+const PANICKED: i32 = 101;
 
 /// How a process came to be of no use any more.
 #[derive(Clone, Debug)]
@@ -98,6 +101,12 @@ impl Death {
         self.last_words.strip_prefix("error: ").unwrap_or(&self.last_words)
     }
 
+    /// Whether an actor ended by itself and without an error of its own, with `status`: what it runs ended it.
+    fn is_silent(&self, status: ExitStatus) -> bool {
+        let own = self.last_words.starts_with("error: ") || status.code() == Some(PANICKED);
+        matches!(self.role, Role::Actor(_)) && status.code().is_some() && !own && !self.is_consequence()
+    }
+
     /// The reason that the process itself reported, if it did. Another host may be lost again and again, and come back.
     pub(super) fn reported(&self) -> Option<String> {
         let How::Exited(status) = self.how else { return None };
@@ -112,6 +121,13 @@ impl fmt::Display for Death {
             return f.write_str(lost);
         }
         match &self.how {
+            How::Exited(status) if self.is_silent(*status) => {
+                write!(
+                    f,
+                    "{} ended with {status} and without an error, as by os._exit in the environment's code",
+                    self.role
+                )
+            }
             How::Exited(status) => write!(f, "{} ended with {status}", self.role),
             How::Lingering(Fault::Silent(s)) => {
                 write!(f, "{} gave no sign of life for {s} s (supervise.silence_s)", self.role)
@@ -343,7 +359,9 @@ pub(super) fn log_tail(dir: &RunDir, role: Role) -> String {
     match tail() {
         Ok(bytes) => {
             let text = String::from_utf8_lossy(&bytes);
-            let lines: Vec<&str> = text.lines().collect();
+            // What the transport says of memory that a dead process has left would bury the process's own words.
+            let aside = |line: &&str| line.contains(" WARN ") && line.contains(logging::IPC);
+            let lines: Vec<&str> = text.lines().filter(|line| !aside(line)).collect();
             lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
         }
         Err(error) => format!("(cannot read {}: {error:#})", path.display()),

@@ -152,6 +152,27 @@ pub fn least(threshold: f64, tolerance: f64) -> f64 {
 }
 
 impl EnvSpec {
+    /// The spaces of an environment called `name`, whose features are numbers with these bounds (smallest, largest) and steps of a
+    /// hundredth of them, and that knows neither its best return nor who succeeds.
+    pub fn of(name: &str, bounds: &[[f32; 2]], actions: &[&str]) -> Self {
+        Self {
+            name: name.into(),
+            element: Element::F32,
+            shape: Vec::new(),
+            low: bounds.iter().map(|[low, _]| *low).collect(),
+            high: bounds.iter().map(|[_, high]| *high).collect(),
+            scale: bounds.iter().map(|[low, high]| (high - low) / 100.0).collect(),
+            integral: false,
+            categories: Vec::new(),
+            velocities: Vec::new(),
+            actions: actions.iter().map(ToString::to_string).collect(),
+            best_return: None,
+            threshold: None,
+            goal_bonus: 0.0,
+            defines_success: false,
+        }
+    }
+
     /// Number of features in an observation.
     pub fn obs_dim(&self) -> usize {
         self.low.len()

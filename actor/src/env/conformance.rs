@@ -73,7 +73,8 @@ fn a_mistake_in_an_environment_s_table_is_named() {
     for name in registry().names() {
         let given = Table::from_iter([("no-such-setting".to_string(), 1.into())]);
         let error = registry().complete(name, given).unwrap_err().to_string();
-        assert!(error.starts_with("env.no-such-setting: there is no such setting"), "{error}");
+        assert!(error.starts_with("env."), "{error}");
+        assert!(error.contains("no-such-setting: there is no such setting"), "{error}");
     }
     let stranger = config::Env { name: "mase".into(), ..config::Env::default() };
     let error = registry().build(&stranger).err().unwrap().to_string();

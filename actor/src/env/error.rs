@@ -14,7 +14,9 @@ pub enum EnvError {
     #[error(transparent)]
     Own(Box<dyn std::error::Error + Send + Sync>),
     /// A planned mentor where nobody plans.
-    #[error("mentor.demo = plan: the environment {env} has no planner; accepted: a CSV file of states")]
+    #[error(
+        "mentor.demo = plan: the environment {env} has no planner; accepted: a CSV file of states, or --algo dqn, which needs none"
+    )]
     NoPlanner {
         /// Name of the environment.
         env: String,

@@ -15,6 +15,9 @@ pub trait Kind: Environment + Sized + 'static {
     /// What it is, in one line.
     const ABOUT: &'static str;
 
+    /// How messages call its table. `env`, which is short for `env.<name>`, fits where people type that.
+    const TABLE: &'static str = "env";
+
     /// Settings that nobody chooses: [`Kind::resolve`] fills them in, or they say by what and not what is simulated. Runs that
     /// differ in them alone have one task.
     const FILLED: &'static [&'static str] = &[];

@@ -8,6 +8,7 @@
 //! with the run; observations are written into the caller's buffer; an environment can be saved and restored in
 //! the middle of an episode.
 
+mod check;
 mod error;
 pub mod grid;
 mod ground;
@@ -22,6 +23,7 @@ mod registry;
 #[cfg(test)]
 mod conformance;
 
+pub use check::check;
 pub use error::EnvError;
 pub use ground::Ground;
 pub use kind::{Finding, Foreign, Kind};

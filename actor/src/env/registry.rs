@@ -261,10 +261,10 @@ trait AnyKind: Send + Sync {
 /// `K` as an [`AnyKind`].
 struct Typed<K>(PhantomData<fn() -> K>);
 
-/// The settings in `own`. Messages call them `env.<key>`, which is short for `env.<name>.<key>` and what is usually typed.
-fn typed<S: Field>(own: &Table) -> Result<S, ConfigError> {
-    let settings = S::read(Value::Table(own.clone()), "env", "a table of settings")?;
-    settings.check("env")?;
+/// The settings in `own`, which messages call as [`Kind::TABLE`] says.
+fn typed<K: Kind>(own: &Table) -> Result<K::Settings, ConfigError> {
+    let settings = K::Settings::read(Value::Table(own.clone()), K::TABLE, "a table of settings")?;
+    settings.check(K::TABLE)?;
     Ok(settings)
 }
 
@@ -291,61 +291,61 @@ impl<K: Kind> AnyKind for Typed<K> {
     }
 
     fn complete(&self, env: &config::Env) -> Result<Table, ConfigError> {
-        written(&typed::<K::Settings>(&env.own)?)
+        written(&typed::<K>(&env.own)?)
     }
 
     fn check(&self, config: &Config) -> Result<(), ConfigError> {
-        K::check(&typed(&config.env.own)?, config)
+        K::check(&typed::<K>(&config.env.own)?, config)
     }
 
     fn resolve(&self, env: &config::Env, seed: u64) -> Result<Table, EnvError> {
-        let mut settings = typed(&env.own)?;
+        let mut settings = typed::<K>(&env.own)?;
         K::resolve(&mut settings, env, seed)?;
         Ok(written(&settings)?)
     }
 
     fn wants_states(&self, env: &config::Env) -> Result<bool, EnvError> {
-        Ok(K::wants_states(&typed(&env.own)?))
+        Ok(K::wants_states(&typed::<K>(&env.own)?))
     }
 
     fn take_states(&self, env: &config::Env, states: &[f32]) -> Result<Table, EnvError> {
-        let mut settings = typed(&env.own)?;
+        let mut settings = typed::<K>(&env.own)?;
         K::take_states(&mut settings, states)?;
         Ok(written(&settings)?)
     }
 
     fn adopt(&self, again: &Table, own: &Table) -> Result<Table, EnvError> {
-        let mut settings = typed(again)?;
-        K::adopt(&mut settings, &typed(own)?);
+        let mut settings = typed::<K>(again)?;
+        K::adopt(&mut settings, &typed::<K>(own)?);
         Ok(written(&settings)?)
     }
 
     fn build(&self, env: &config::Env) -> Result<Box<dyn Environment>, EnvError> {
-        Ok(Box::new(K::new(&typed(&env.own)?, env)?))
+        Ok(Box::new(K::new(&typed::<K>(&env.own)?, env)?))
     }
 
     fn plan(&self, env: &config::Env, actions: &str) -> Result<Option<Vec<Vec<f32>>>, EnvError> {
-        K::plan(&typed(&env.own)?, env, actions)
+        K::plan(&typed::<K>(&env.own)?, env, actions)
     }
 
     fn cells(&self, env: &config::Env, actions: &str) -> Result<Option<(Map, ActionSet)>, EnvError> {
-        K::cells(&typed(&env.own)?, actions)
+        K::cells(&typed::<K>(&env.own)?, actions)
     }
 
     fn draw(&self, env: &config::Env, paths: &[(&[f32], char)]) -> Result<Option<String>, EnvError> {
-        K::draw(&typed(&env.own)?, paths)
+        K::draw(&typed::<K>(&env.own)?, paths)
     }
 
     fn ground(&self, env: &config::Env) -> Result<Option<Box<dyn Ground>>, EnvError> {
-        K::ground(&typed(&env.own)?)
+        K::ground(&typed::<K>(&env.own)?)
     }
 
     fn engine(&self, env: &config::Env) -> Result<Option<Table>, EnvError> {
-        Ok(K::engine(&typed(&env.own)?))
+        Ok(K::engine(&typed::<K>(&env.own)?))
     }
 
     fn filmed(&self, env: &config::Env) -> Result<Option<Table>, EnvError> {
-        Ok(K::filmed(&typed(&env.own)?).map(|settings| written(&settings)).transpose()?)
+        Ok(K::filmed(&typed::<K>(&env.own)?).map(|settings| written(&settings)).transpose()?)
     }
 
     fn diagnose(&self) -> Vec<Finding> {
@@ -357,14 +357,14 @@ impl<K: Kind> AnyKind for Typed<K> {
     }
 
     fn foreign(&self, env: &config::Env) -> Option<Foreign> {
-        K::foreign(&typed(&env.own).ok()?)
+        K::foreign(&typed::<K>(&env.own).ok()?)
     }
 
     fn ready(&self, env: &config::Env) -> Result<(), EnvError> {
-        K::ready(&typed(&env.own)?)
+        K::ready(&typed::<K>(&env.own)?)
     }
 
     fn warnings(&self, env: &config::Env) -> Result<Vec<String>, EnvError> {
-        Ok(K::warnings(&typed(&env.own)?))
+        Ok(K::warnings(&typed::<K>(&env.own)?))
     }
 }

@@ -61,7 +61,7 @@ pub fn resolve(
     let scale = scales(settings, spec).into_owned();
     let learned = &mut settings.learned;
     if learned.features.is_empty() {
-        learned.features = automatic(&settings.features, spec);
+        learned.features = automatic(settings.features.numbers().unwrap_or_default(), spec);
     }
     // An episode cannot be told to have been the first success.
     if !spec.defines_success {
@@ -242,8 +242,11 @@ mod tests {
 
     #[test]
     fn features_and_scale_are_those_in_which_states_are_compared() {
-        let mut settings =
-            config::Mentor { features: vec![1, 0], scale: vec![1.0, 7.0], ..config::Mentor::default() };
+        let mut settings = config::Mentor {
+            features: config::Features::Numbers(vec![1, 0]),
+            scale: vec![1.0, 7.0],
+            ..config::Mentor::default()
+        };
         // Both in units of 1.
         resolve(&mut settings, &spec(), &mentor(&[&[0.0, 6.0]])).unwrap();
         assert_eq!(settings.learned.features, [0, 1]);

@@ -40,6 +40,12 @@ pub enum MetricError {
         /// Features of the environment.
         dim: usize,
     },
+    /// Features to compare that have not been looked up.
+    #[error("mentor.features has names that were never looked up; accepted: numbers below {dim}, each once")]
+    Named {
+        /// Features of the environment.
+        dim: usize,
+    },
     /// Standard deviations for other than all features.
     #[error("mentor.scale has {found} numbers; accepted: {dim}, one for each feature of a state")]
     Scale {
@@ -87,7 +93,8 @@ impl Metric {
     /// # Errors
     /// As [`Metric::from_config`]; features that there are not, or a scale of other than all features.
     pub fn of(mentor: &config::Mentor, spec: &EnvSpec, states: &[f32]) -> Result<Self, MetricError> {
-        let (scale, dim, features) = (&spec.scale[..], spec.obs_dim(), &mentor.features);
+        let (scale, dim) = (&spec.scale[..], spec.obs_dim());
+        let features = mentor.features.numbers().ok_or(MetricError::Named { dim })?;
         let own: Vec<f32> = mentor.scale.iter().map(|&sigma| sigma as f32).collect();
         if !own.is_empty() && own.len() != dim {
             return Err(MetricError::Scale { found: own.len(), dim });
@@ -96,7 +103,7 @@ impl Metric {
         for &feature in features {
             match compared.get_mut(feature) {
                 Some(new @ false) => *new = true,
-                _ => return Err(MetricError::Compared { features: features.clone(), dim }),
+                _ => return Err(MetricError::Compared { features: features.to_vec(), dim }),
             }
         }
         let scale = if own.is_empty() { scale } else { &own };
@@ -175,6 +182,11 @@ impl Metric {
     /// Features of a state.
     pub fn dim(&self) -> usize {
         self.dim
+    }
+
+    /// How many features are compared as numbers.
+    pub fn numbers(&self) -> usize {
+        self.dim - self.ignored.len() - self.categories.len()
     }
 
     /// Features that are compared as categories, ascending.
@@ -294,11 +306,15 @@ mod tests {
     fn features_that_are_not_compared_count_for_nothing() {
         let demo: Vec<f32> = (0..30).map(|i| ((i * i) % 17) as f32).collect();
         for covariance in [CovarianceKind::Space, CovarianceKind::Demonstration, CovarianceKind::Full] {
-            let mut mentor = config::Mentor { covariance, features: vec![2, 0], ..config::Mentor::default() };
+            let mut mentor = config::Mentor {
+                covariance,
+                features: config::Features::Numbers(vec![2, 0]),
+                ..config::Mentor::default()
+            };
             let some = Metric::of(&mentor, &spec(&[2.0, 3.0, 4.0], 0), &demo).unwrap().whiten_all(&demo);
             assert!(some.chunks_exact(3).all(|state| state[1] == 0.0));
             // As if they were not there.
-            mentor.features.clear();
+            mentor.features = config::Features::default();
             let pick = |states: &[f32]| -> Vec<f32> {
                 states.chunks_exact(3).flat_map(|state| [state[0], state[2]]).collect()
             };
@@ -322,7 +338,7 @@ mod tests {
         );
         mentor.scale.clear();
         for features in [vec![3], vec![1, 1]] {
-            mentor.features = features.clone();
+            mentor.features = config::Features::Numbers(features.clone());
             let expected = format!("mentor.features = {features:?}; accepted: numbers below 3, each once");
             assert_eq!(refused(&mentor), expected);
         }
@@ -362,12 +378,17 @@ mod tests {
                 states.iter().map(|&(x, y, c, d)| [x, f32::from(y), f32::from(c), f32::from(d)]).collect();
             let all = rows.concat();
             let mentor =
-                config::Mentor { covariance, features: compared.clone(), sigma_floor: 0.1, ..config::Mentor::default() };
+                config::Mentor {
+                    covariance,
+                    features: config::Features::Numbers(compared.clone()),
+                    sigma_floor: 0.1,
+                    ..config::Mentor::default()
+                };
             let whole = Metric::of(&mentor, &spec(&[2.0, 3.0, 1.0, 1.0], 2), &all).unwrap();
             // The same without the categories.
             let numbers: Vec<f32> = rows.iter().flat_map(|row| row[..2].to_vec()).collect();
             let features: Vec<usize> = compared.iter().copied().filter(|&f| f < 2).collect();
-            let mentor = config::Mentor { features, ..mentor };
+            let mentor = config::Mentor { features: config::Features::Numbers(features), ..mentor };
             let part = Metric::of(&mentor, &spec(&[2.0, 3.0], 0), &numbers).unwrap();
             let is_compared = |f: usize| compared.is_empty() || compared.contains(&f);
             let (whole, part) = (whole.whiten_all(&all), part.whiten_all(&numbers));

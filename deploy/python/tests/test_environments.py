@@ -158,6 +158,14 @@ def test_everything_is_found_once_and_written_down(trestle: Trestle, tmp_path: P
     assert "4.0" in returns or "4" in returns
 
 
+def test_what_nothing_says_is_warned_of(trestle: Trestle) -> None:
+    said = check(trestle, make="envs:Line")
+    assert "  step limit     10000 (env.step_limit)\n" in said
+    assert "warning: nothing says which return of gym envs:Line counts as solved" in said and "eval.threshold says it" in said
+    said = trestle("config", "check", "gym:CartPole-v1", "--algo", "dqn").stdout
+    assert "warning" not in said
+
+
 def test_features_are_shown_by_number_and_name(trestle: Trestle) -> None:
     said = check(trestle, make="envs:Spaces", kwargs="{observation='dict'}")
     names = "0 a[0], 1 a[1], 2 b (of 3)"

@@ -13,6 +13,9 @@ use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
 use tracing_subscriber::registry::LookupSpan;
 use trestle_proto::round::Round;
 
+/// The target of iceoryx2's lines.
+pub const IPC: &str = "iceoryx2_bb_loggers";
+
 static TICK: AtomicU64 = AtomicU64::new(0);
 static WHO: OnceLock<Who> = OnceLock::new();
 
@@ -37,7 +40,10 @@ pub fn init(run: u64, role: &str, level: &str) {
     }
     // iceoryx2 filters by itself before it hands a line on; what it reports below a warning is about its own insides.
     iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Warn);
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    // Where a process was killed, its memory is there no more when its peers come to remove it: that needs no line among those that
+    // a person reads.
+    let quiet = if level == "warn" { format!("{level},{IPC}=error") } else { level.into() };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

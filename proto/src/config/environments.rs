@@ -94,10 +94,26 @@ pub(super) fn chosen<'a>(
     environments: &dyn Environments,
 ) -> Result<String, ConfigError> {
     let all = environments.names();
-    let name = match layers.filter_map(|layer| layer.get("env")?.get("name")).last() {
+    let layers: Vec<&Table> = layers.collect();
+    let name = match layers.iter().filter_map(|layer| layer.get("env")?.get("name")).next_back() {
         Some(Value::String(name)) => name.clone(),
         Some(other) => return Err(refuse("env.name", other, &all.join(", "))),
-        None => Shared::default().name,
+        None => {
+            let name = Shared::default().name;
+            let has = |other: &str| {
+                layers.iter().any(|layer| layer.get("env").is_some_and(|env| env.get(other).is_some()))
+            };
+            // A file with settings of another environment forgets to say so.
+            if let Some(meant) =
+                all.iter().find(|other| **other != name && has(other)).filter(|_| !has(&name))
+            {
+                let base =
+                    environments.shorthand(meant).map_or(String::new(), |_| format!("base = {meant:?}, or "));
+                let accepted = format!("with settings in [env.{meant}]: {base}env.name = {meant:?}");
+                return Err(refuse("env.name", format!("{name}, its default"), &accepted));
+            }
+            name
+        }
     };
     if all.is_empty() || all.contains(&name.as_str()) {
         return Ok(name);

@@ -424,6 +424,15 @@ mod tests {
             refused(&["env.name=cartpole", "env.force=3"]),
             "env.name = cartpole; accepted: maze, cart-pole; did you mean `cart-pole`?"
         );
+        let forgotten =
+            |table: &str| from_table(&Two, table.parse().unwrap(), &[]).map(|config| config.env.name);
+        let error = forgotten("[run]\nepisodes = 1\n[env.cart-pole]\nforce = 3\n").unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "env.name = maze, its default; accepted: with settings in [env.cart-pole]: env.name = \"cart-pole\""
+        );
+        let both = "[run]\nepisodes = 1\n[env.maze]\nmap = \"m\"\n[env.cart-pole]\nforce = 3\n";
+        assert_eq!(forgotten(both).unwrap(), "maze");
         assert!(refused(&["env.mapp=x"]).ends_with("did you mean `env.map`?"));
         assert!(refused(&["env.cart_pole.force=1"]).ends_with("did you mean `env.cart-pole`?"));
         assert!(refused(&["env.stepp_limit=1"]).ends_with("did you mean `env.step_limit`?"));

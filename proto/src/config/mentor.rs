@@ -1,7 +1,7 @@
 //! `[mentor]` and `[shaping]`: demonstration and imitation, and the shaping of `dqn`'s rewards.
 
 use super::accepts::{Accepts, above, any, at_least, between};
-use super::{Algo, Demos, Learned, PLAN, Threshold};
+use super::{Algo, Demos, Features, Learned, PLAN, Threshold};
 use crate::limits::MAX_BRIDGE_DEPTH;
 use crate::space::EnvSpec;
 use crate::{choices, settings};
@@ -20,9 +20,9 @@ settings! {
         inference: InferenceKind = InferenceKind::Similar;
         /// The covariance Σ of the state distance.
         covariance: CovarianceKind = CovarianceKind::Space;
-        /// The features that are compared, by their numbers; all if empty. For bodies that share their position and not their
-        /// velocity.
-        features: Vec<usize> = Vec::new(), any("numbers of features, each once");
+        /// The features that are compared, by their numbers or names; the name of a part stands for all that is in it. All if
+        /// empty. For bodies that share their position and not their velocity or their heading.
+        features: Features = Features::default(), any("a list of numbers or names of features, each once");
         /// With `covariance = "space"`: the standard deviation of each feature of a state, in place of the environment's own.
         scale: Vec<f64> = Vec::new(), Accepts::when("a number above 0 for each feature of a state", |scale: &Vec<f64>| {
             scale.iter().all(|&sigma| sigma.is_finite() && sigma > 0.0)

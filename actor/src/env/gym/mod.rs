@@ -38,6 +38,8 @@ impl Kind for Gym {
 
     const ABOUT: &'static str = "Any environment with Gymnasium's interface, run by Python.";
 
+    const TABLE: &'static str = "env.gym";
+
     const FILLED: &'static [&'static str] = &["found", "python", "probe_s"];
 
     fn new(settings: &Settings, env: &config::Env) -> Result<Self, EnvError> {

@@ -90,6 +90,11 @@ fn an_environment_is_named_once_and_by_its_short_form() {
         let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
         config::load(&registry, name, &sets).map(|config| config.env)
     };
+    let algo = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+        config::load(&registry, "gym", &sets).unwrap().run.algo
+    };
+    assert_eq!([algo(&[]), algo(&["run.algo=dqn"])], [config::Algo::Trestle, config::Algo::Dqn]);
     let env = load("gym:pkg:Cart-v1", &["env.gym.kwargs.force=5.0", "env.kwargs.mass=2"]).unwrap();
     assert_eq!((env.name.as_str(), env.own["id"].as_str()), ("gym", Some("pkg:Cart-v1")));
     assert_eq!(env.own["kwargs"].as_table().unwrap().len(), 2);
@@ -101,6 +106,8 @@ fn an_environment_is_named_once_and_by_its_short_form() {
     assert!(refused("env.gym.scale=[1.0, 0.0]").starts_with("env.gym.scale = 0"));
     assert!(refused("env.gym.bins=[1]").starts_with("env.gym.bins = 1; accepted: numbers from 2 to 1024"));
     assert!(refused("env.gym.actions=[1.5]").contains("a list of numbers or names of actions"));
+    let misspelt = "env.gym.kwarg: there is no such setting; did you mean `env.gym.kwargs`?";
+    assert_eq!(refused("env.gym.kwarg.body=x"), misspelt);
     assert!(refused("env.gym.kwargs=3").contains("a table of arguments by name"));
 }
 
