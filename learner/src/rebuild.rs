@@ -1,9 +1,8 @@
 //! Gives a new mentor-server the history that the replay holds, and the annotations that came of it.
 
-use crate::run::RunError;
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Replay;
-use trestle_link::{LearnerLink, pulse};
+use trestle_link::{LearnerLink, LinkError, pulse};
 use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, words};
 use trestle_proto::limits::{HISTORY_WORDS, MAX_QUERY_ROWS, MAX_ROLLOUT};
@@ -31,7 +30,7 @@ pub(crate) fn rebuild_mentor(
     plan: &RunPlan,
     agent: &Agent,
     round: Round,
-) -> Result<(), RunError> {
+) -> Result<(), LinkError> {
     let (replay, config, spec) = (agent.replay(), &plan.experiment.config, &plan.experiment.spec);
     if config.mentor.seeks_bridges(config.run.algo) {
         let mut index = replay.first_index();

@@ -492,11 +492,11 @@ impl<'a> Loop<'a> {
             }
             match rebuild_mentor(self.link, self.plan, self.session.agent(), self.session.tick()) {
                 Ok(()) => break,
-                Err(RunError::Link(error)) if !self.barrier && is_lost_mentor(&error) => {
+                Err(error) if !self.barrier && is_lost_mentor(&error) => {
                     tracing::warn!("the mentor-server is lost: {error}");
                     lost = true;
                 }
-                Err(error) => return Err(error),
+                Err(error) => return Err(error.into()),
             }
         }
         tracing::info!("a new mentor-server has the history");

@@ -4,7 +4,7 @@
 //! Settings of the environment, and what counts as solved, make another task. All others make another arm, but for those that say
 //! how long and where a run is trained ([`ASIDE`]). A sweep has named its arms itself: there differences are only noted.
 
-use crate::read::Run;
+use crate::run::Run;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use trestle_proto::config::{Config, PLAN, Table, Value};

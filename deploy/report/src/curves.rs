@@ -3,7 +3,7 @@
 //! At a point of the axis a run has the value that it recorded last. Before its first record it has none and is not
 //! counted; after its end it keeps its last one.
 
-use crate::read::{Point, Series};
+use crate::run::{Point, Series};
 use crate::stats::{Estimate, iqm_interval, mean, standard_deviation};
 
 /// Points of a curve, at most.

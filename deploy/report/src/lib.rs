@@ -1,7 +1,7 @@
 //! Reports: statistics, pictures and a page from the records of any number of runs.
 //!
-//! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves; `apart` tells apart what one
-//!   name would put together;
+//! - [`read`]: the runs below a directory, one after the other, each reduced to its tables and curves ([`run`]); `apart` tells
+//!   apart what one name would put together;
 //! - [`stats`]: means, intervals, comparisons, as plain functions over numbers;
 //! - [`summary`]: runs grouped by task and arm, with the figures of each group and pair;
 //! - [`over_tasks`]: arms compared over many tasks;
@@ -23,6 +23,7 @@ pub mod over_tasks;
 mod page;
 pub mod plot;
 pub mod read;
+pub mod run;
 pub mod stats;
 pub mod summary;
 pub mod write;

@@ -4,7 +4,7 @@ use crate::apart::settings;
 use crate::effect::Effect;
 use crate::over_tasks::{DOUBT, LOSS, Overview, Ratio};
 use crate::plot::swatch;
-use crate::read::Run;
+use crate::run::Run;
 use crate::stats::Estimate;
 use crate::summary::{ArmSummary, Comparison, Time};
 use std::collections::BTreeMap;

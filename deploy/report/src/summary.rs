@@ -1,7 +1,7 @@
 //! Runs grouped by task and arm, with the figures of each group and of each pair of groups.
 
 use crate::effect::Effect;
-use crate::read::Run;
+use crate::run::Run;
 use crate::stats::{
     Estimate, improvement_interval, iqm_interval, mean, median_interval, ratio_interval, share,
     standard_deviation,

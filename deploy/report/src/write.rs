@@ -13,7 +13,7 @@ use crate::maze::Maze;
 use crate::over_tasks::{self, Bound, Overview, Ratio};
 use crate::page::{self, Figure, Part, Section, Tables};
 use crate::plot::{self, Chart, Intervals, Line, PlotError, Scale, View, pdf, png};
-use crate::read::{Run, Series};
+use crate::run::{Run, Series};
 use crate::stats::Estimate;
 use crate::summary::{self, ArmSummary, Comparison, Group, Task, Time, order};
 use serde::Serialize;
