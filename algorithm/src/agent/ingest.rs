@@ -82,9 +82,8 @@ impl Agent {
             if transition.ends_episode() {
                 let Running { total_reward, length, first } = std::mem::take(running);
                 let success = self.settings.success.of(said, total_reward);
-                self.successes += u64::from(success == Some(true));
                 if let Some(own) = &mut self.own
-                    && own.take(&self.replay, first, length, success, self.settings.gamma)
+                    && own.take(&self.replay, first, length, success)
                 {
                     own.publish(&mut self.acting.own);
                 }

@@ -67,8 +67,6 @@ pub struct Agent {
     /// Own paths, and what imitates them.
     own: Option<OwnPaths>,
     imitation: Option<Imitation>,
-    /// Episodes that succeeded.
-    successes: u64,
     /// Draws from the replay.
     rng: Stream,
     counters: Counters,
@@ -103,8 +101,6 @@ struct Settings {
     one_sided: bool,
     /// Whether a policy is learnt as long as there is no own path, whatever the schedules say.
     search: bool,
-    /// Successes after which imitation leaves values alone that exceed an own path's; 0: it never does.
-    improve: u64,
 }
 
 /// What the agent knows of the mentor.
@@ -191,7 +187,6 @@ impl Agent {
             hindsight,
             own: own_of(experiment)?,
             imitation: imitation_of(experiment)?,
-            successes: 0,
             rng: stream(seed, Purpose::Replay, 0),
             counters: Counters::default(),
             trained_to: 0,
@@ -337,8 +332,6 @@ impl Settings {
             draw: mentor.draw,
             one_sided: mentor.one_sided,
             search: mentor.learned.search > 0.0,
-            // Shaped values are not those of an own path's rewards.
-            improve: if experiment.config.shaped() { 0 } else { mentor.learned.improve },
         })
     }
 }

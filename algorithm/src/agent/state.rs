@@ -30,8 +30,6 @@ pub struct AgentState {
     /// Own paths, and the stream that draws from them.
     own: Vec<OwnPath>,
     imitation: Option<Stream>,
-    /// Episodes that succeeded.
-    successes: u64,
     /// What a rival remembers.
     rival: RivalState,
     /// CRC-32C of the demonstration, so that an agent never goes on with another one.
@@ -86,7 +84,6 @@ impl Agent {
             hindsight: self.hindsight.as_ref().map(|hindsight| hindsight.state().clone()),
             own: self.own.as_ref().map(|own| own.paths().to_vec()).unwrap_or_default(),
             imitation: self.imitation.as_ref().map(|imitation| imitation.rng().clone()),
-            successes: self.successes,
             rival: self.rival.as_ref().map(Rival::state).unwrap_or_default(),
             demonstration: self.mentor.as_ref().map_or(0, |mentor| fingerprint(&mentor.transitions)),
         }
@@ -189,7 +186,7 @@ impl Agent {
             return Err(AgentError::RivalState);
         }
         self.adam.clone_from(&parts.adam);
-        (self.counters, self.successes) = (state.counters, state.successes);
+        self.counters = state.counters;
         self.trained_to = state.trained_to;
         self.rng = state.rng.clone();
         self.running = state

@@ -77,9 +77,8 @@ impl Agent {
             Backend::Candle => gradient.copy_from_slice(&terms.autodiff(samples, network, settings)?),
         }
         // Imitation of own paths (ours) adds its share.
-        let all = settings.improve == 0 || self.successes < settings.improve;
         if let (Some(imitation), Some(own)) = (&mut self.imitation, &self.own)
-            && let Some(loss) = imitation.add_gradient(network, encoding, own, all, gradient)?
+            && let Some(loss) = imitation.add_gradient(network, encoding, own, gradient)?
         {
             stats.imitation_steps += 1;
             stats.imitation_loss_sum += loss;

@@ -21,8 +21,6 @@ pub struct OwnPath {
     states: Vec<f32>,
     /// The action in each.
     actions: Vec<u32>,
-    /// The discounted return from each on, as it was walked; none where the end of the path ended no episode.
-    returns: Vec<f32>,
     /// The place of each, and of the last one, row-major.
     places: Vec<f32>,
 }
@@ -33,10 +31,10 @@ impl OwnPath {
         self.actions.len()
     }
 
-    /// State `i`, the action in it, and the return from there on, if it is known.
-    fn step(&self, i: usize) -> (&[f32], u32, Option<f32>) {
+    /// State `i` and the action in it.
+    fn step(&self, i: usize) -> (&[f32], u32) {
         let dim = self.states.len() / self.steps();
-        (&self.states[i * dim..][..dim], self.actions[i], self.returns.get(i).copied())
+        (&self.states[i * dim..][..dim], self.actions[i])
     }
 
     /// Whether it covers `other`, whose places have `dim` numbers.
@@ -88,7 +86,6 @@ impl OwnPaths {
             let steps = path.steps();
             (1..self.room.places).contains(&steps)
                 && path.states.len() == steps * obs_dim
-                && (path.returns.is_empty() || path.returns.len() == steps)
                 && path.places.len() == (steps + 1) * self.goal.dim()
         };
         let fits = paths.len() <= self.room.paths && paths.iter().all(whole);
@@ -103,9 +100,8 @@ impl OwnPaths {
         self.paths.iter().map(OwnPath::steps).sum()
     }
 
-    /// Step `i` of all paths, one path after the other: a state, the action in it, and the discounted return from there on, if it
-    /// is known.
-    pub fn step(&self, mut i: usize) -> Option<(&[f32], u32, Option<f32>)> {
+    /// Step `i` of all paths, one path after the other: a state and the action in it.
+    pub fn step(&self, mut i: usize) -> Option<(&[f32], u32)> {
         for path in &self.paths {
             if i < path.steps() {
                 return Some(path.step(i));
@@ -127,29 +123,14 @@ impl OwnPaths {
 
     /// Takes in an episode that has ended: its `length` steps in `replay`, the first of which has global index `first`. It
     /// succeeded or not; where success is not defined, coming to the end of the mentor's path is one. Returns whether the paths
-    /// have changed. Returns are discounted by `gamma`.
-    pub fn take(
-        &mut self,
-        replay: &Replay,
-        first: u64,
-        length: u64,
-        success: Option<bool>,
-        gamma: f32,
-    ) -> bool {
+    /// have changed.
+    pub fn take(&mut self, replay: &Replay, first: u64, length: u64, success: Option<bool>) -> bool {
         if success == Some(false) || first < replay.first_index() {
             return false;
         }
         let most = usize::try_from(length).unwrap_or(usize::MAX);
         let slots = replay.path(replay.slot(first), most);
-        let Some(mut path) = self.walked(replay, slots, most, success.is_none()) else { return false };
-        if success.is_none() {
-            path.returns.clear();
-        }
-        // So far they are the rewards.
-        path.returns.iter_mut().rev().fold(0.0, |later, reward| {
-            *reward += gamma * later;
-            *reward
-        });
+        let Some(path) = self.walked(replay, slots, most, success.is_none()) else { return false };
         self.add(path)
     }
 
@@ -169,9 +150,7 @@ impl OwnPaths {
             let obs = replay.obs(slot).wide(&mut s);
             self.visit(&mut path, obs, near);
             path.states.extend_from_slice(obs);
-            let walked = replay.get(slot);
-            path.actions.push(walked.action);
-            path.returns.push(walked.reward);
+            path.actions.push(replay.get(slot).action);
             // One more place is still to come.
             if path.actions.len() >= self.room.places {
                 return None;
@@ -196,7 +175,6 @@ impl OwnPaths {
             path.places.truncate(earlier * dim);
             path.states.truncate(earlier * state.len());
             path.actions.truncate(earlier);
-            path.returns.truncate(earlier);
         }
         path.places.extend_from_slice(&self.place);
     }
@@ -246,7 +224,7 @@ mod tests {
             let ends = if i + 2 == cells.len() { TERMINATED } else { 0 };
             let flags = ends | if i == 0 { FIRST } else { 0 };
             let (obs, next_obs) = (&pair[0], &pair[1]);
-            replay.push(&Transition { obs, next_obs, action: i as u32, reward: i as f32, flags }, 0, NONE);
+            replay.push(&Transition { obs, next_obs, action: i as u32, reward: 0.0, flags }, 0, NONE);
             replay.push(&Transition { obs, next_obs, action: 77, reward: 0.0, flags: FIRST | ends }, 1, NONE);
         }
         first
@@ -255,7 +233,7 @@ mod tests {
     fn taken(own: &mut OwnPaths, cells: &[[f32; 2]], success: Option<bool>) -> bool {
         let mut replay = Replay::new(500, 2).unwrap();
         let first = episode(&mut replay, cells);
-        own.take(&replay, first, cells.len() as u64 - 1, success, 0.5)
+        own.take(&replay, first, cells.len() as u64 - 1, success)
     }
 
     fn line(from: i8, to: i8) -> Vec<[f32; 2]> {
@@ -278,9 +256,7 @@ mod tests {
             prop_assert_eq!((places[0], places.last()), (cells[0], cells.last()));
             prop_assert_eq!(own.steps(), places.len() - 1);
             for i in 0..own.steps() {
-                let (state, action, value) = own.step(i).unwrap();
-                let later = own.step(i + 1).map_or(0.0, |step| step.2.unwrap());
-                prop_assert_eq!(value, Some(action as f32 + 0.5 * later));
+                let (state, action) = own.step(i).unwrap();
                 prop_assert_eq!((state, &cells[action as usize][..]), (&places[i][..], state));
                 prop_assert_eq!(cells[action as usize + 1], places[i + 1]);
                 prop_assert_eq!(places[..places.len() - 1].iter().filter(|place| **place == places[i]).count(), 1);
@@ -322,7 +298,7 @@ mod tests {
         assert!(!taken(&mut own, &line(20, 26), Some(true)));
         let mut replay = Replay::new(8, 2).unwrap();
         let first = episode(&mut replay, &line(40, 45));
-        assert!(!own.take(&replay, first, 5, Some(true), 0.5), "its beginning is gone");
+        assert!(!own.take(&replay, first, 5, Some(true)), "its beginning is gone");
     }
 
     #[test]

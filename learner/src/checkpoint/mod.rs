@@ -86,7 +86,7 @@ const FILES: [&str; 8] = [MODEL, TARGET, OPTIMIZER, REPLAY, ANNOTATIONS, AGENT, 
 /// Beginning of the name of a directory that is being written or removed.
 const SCRATCH: &str = ".scratch-";
 
-const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 8 };
+const AGENT_KIND: Kind = Kind { magic: *b"TRAGENT\0", version: 7 };
 const ACTORS_KIND: Kind = Kind { magic: *b"TRACTORS", version: 1 };
 const RUN_KIND: Kind = Kind { magic: *b"TRRUNST\0", version: 1 };
 /// First words of `annotations.bin`: magic, and the version of the records' layout.

@@ -52,8 +52,5 @@ settings! {
         imitate: f64 = 0.0, at_least(0.0);
         /// By how much the value of an own path's action is to exceed those of all others.
         margin: f64 = 0.1, at_least(0.0);
-        /// Successes after which a step of an own path is no longer imitated where a value exceeds its return by more than the margin.
-        /// 0: all are imitated for ever.
-        improve: u64 = 50;
     }
 }
