@@ -328,6 +328,12 @@ impl State {
         let Ok(within) = path.strip_prefix(&self.disk.root) else { return };
         let within = within.to_path_buf();
         self.note_writer(process, &within);
+        if let Change::Renamed { from, .. } = *change
+            && let Ok(from) = from.strip_prefix(&self.disk.root)
+        {
+            let from = from.to_path_buf();
+            self.note_leaver(process, &from);
+        }
     }
 }
 

@@ -284,6 +284,14 @@ impl State {
         self.processes[process].writes = Some(run);
     }
 
+    /// `process` has moved the directory `from` of the disk away. If it was the run's that it wrote into, another may be made there.
+    pub(super) fn note_leaver(&mut self, process: usize, from: &Path) {
+        let writes = &mut self.processes[process].writes;
+        if writes.as_deref() == Some(from) {
+            *writes = None;
+        }
+    }
+
     fn is_done(&self, on: On, thread: usize) -> bool {
         let process = self.threads[thread].process;
         let done = |thread: &Thread| matches!(thread.status, Status::Done);
