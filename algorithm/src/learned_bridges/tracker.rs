@@ -12,8 +12,8 @@
 //! *Search.* As long as there is no own path, the probability is no less than `search`, since there is nothing yet that a guide could
 //! disturb.
 //!
-//! *Balance.* With own paths, guided episodes may take as many steps as it took to find the first one, and from then on as many as the
-//! other episodes: own paths are followed until they are learnt, and half of the exploration then looks for better ones.
+//! *Balance.* With own paths, guided episodes may take as many steps as it took to find the first one, and from then on three times as
+//! many as the other episodes: own paths are followed until they are learnt, and a quarter of the steps then looks for better ones.
 //!
 //! *Roaming.* Where a guided episode has not come further for `idle` steps, the guide lets go for `roam` steps, in which the
 //! observer explores freely, and then leads again: the mentor may have gone on where the observer cannot, and the way round begins
@@ -43,6 +43,8 @@ pub struct Pace {
     pub search: f64,
 }
 
+/// Steps of guided episodes for each step of others, once there are own paths.
+const LED: u64 = 3;
 /// Steps for which a guide lets go at most.
 const MOST_ROAMING: f64 = 1e9;
 
@@ -98,7 +100,7 @@ impl Tracker {
     pub fn chance(&self, pace: &Pace) -> f64 {
         let least = if self.own { 0.0 } else { pace.search };
         match pace.gate {
-            true if self.own && self.led > self.sought.saturating_add(self.free) => 0.0,
+            true if self.own && self.led > self.sought.saturating_add(self.free.saturating_mul(LED)) => 0.0,
             true => (1.0 / (1.0 + f64::from(self.stuck))).max(least),
             false => 1.0,
         }

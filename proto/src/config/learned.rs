@@ -30,7 +30,7 @@ settings! {
         /// How far ahead along the path the goal lies. 0: three strides.
         lookahead: f64 = 0.0, at_least(0.0);
         /// Whether an episode is guided with probability 1 / (1 + k) after k guided ones in a row that got stuck, and, once there are own
-        /// paths, guided episodes leave as many steps to others. Else each episode is guided.
+        /// paths, guided episodes leave a quarter of the steps to others. Else each episode is guided.
         gate: bool = true;
         /// Steps of an episode without progress after which the guide lets go. 0: it never does.
         idle: u64 = 40;
