@@ -6,7 +6,7 @@
 out=${1:?the directory of the sweep}
 shift
 [ -e "$out" ] && set -- --resume "$@"
-exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set reporting --out "$out" --seeds 0..1 --tasks 'mazes-one-hot/*01' \
+exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set reporting --out "$out" --seeds 0..3 --tasks 'mazes-one-hot/*01' \
     --algos dqn,trestle,diiqn+labels,dqn+resets \
     --arm shaped:algo=dqn,shaping.potential=1 \
     --arm optimal-transport:algo=dqn,rival.kind=optimal-transport,rival.transport.weight=0.01 \
