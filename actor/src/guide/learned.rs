@@ -147,7 +147,7 @@ impl Learned {
     }
 
     /// An action of π in `obs`, drawn with one word of `rng`, if there is a goal to lead to. `params` are π's. Where there is no goal and
-    /// steps persist, one of [`Learned::roam`].
+    /// steps persist, one that repeats the last or is random.
     pub fn action(&mut self, obs: &[f32], params: &[f32], rng: &mut Stream) -> Option<u32> {
         let Some(goal) = self.progress.tracker.goal(&self.route.paths, &self.route.pace) else {
             return (self.persist > 0.0).then(|| self.roam(obs, rng));
