@@ -98,17 +98,7 @@ pub(crate) struct Source {
 #[command(after_help = presets())]
 pub(crate) struct Train {
     #[command(flatten)]
-    pub(crate) source: Source,
-    #[arg(long, value_parser = word::<Algo>(), help = help("run.algo"))]
-    pub(crate) algo: Option<Algo>,
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"), help = help("run.seed"))]
-    pub(crate) seed: Option<u64>,
-    #[command(flatten)]
-    pub(crate) limits: Limits,
-    #[arg(long, value_parser = word::<Mode>(), help = help("run.mode"))]
-    pub(crate) mode: Option<Mode>,
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u32>("run.actors"), help = help("run.actors"))]
-    pub(crate) actors: Option<u32>,
+    pub(crate) typed: Typed,
     /// The run's directory; runs/CONFIG-ALGO-seedN if not given
     #[arg(long, value_name = "DIR", value_parser = Target)]
     pub(crate) out: Option<PathBuf>,
@@ -128,20 +118,12 @@ pub(crate) struct Train {
 }
 
 impl Train {
-    /// What `--set` says, and `--algo` after it: an algorithm brings along defaults of its own.
-    pub(crate) fn sets(&self) -> Vec<String> {
-        with_algo(&self.source.sets, self.algo)
-    }
-
-    /// Sets what the other flags say.
+    /// As [`Typed::apply`], where the number that is typed counts this host's actors.
     pub(crate) fn apply(&self, config: &mut Settings) {
-        let run = &mut config.run;
-        run.seed = self.seed.unwrap_or(run.seed);
-        run.mode = self.mode.unwrap_or(run.mode);
-        // The number that is typed counts this host's actors.
-        let typed = self.actors.map(|here| here.saturating_add(self.remote.remote_actors.unwrap_or(0)));
-        run.actors = typed.unwrap_or(run.actors);
-        self.limits.apply(config);
+        self.typed.apply(config);
+        if let Some(here) = self.typed.actors {
+            config.run.actors = here.saturating_add(self.remote.remote_actors.unwrap_or(0));
+        }
     }
 }
 
@@ -643,12 +625,13 @@ pub(crate) struct Typed {
 }
 
 impl Typed {
-    /// As [`Train::sets`].
+    /// The texts of `--set`, and `--algo` after them: an algorithm brings along defaults of its own.
     pub(crate) fn sets(&self) -> Vec<String> {
-        with_algo(&self.source.sets, self.algo)
+        let algo = self.algo.map(|algo| format!("run.algo={:?}", algo.name()));
+        self.source.sets.iter().cloned().chain(algo).collect()
     }
 
-    /// As [`Train::apply`].
+    /// Sets the settings of the other flags.
     pub(crate) fn apply(&self, config: &mut Settings) {
         let run = &mut config.run;
         run.seed = self.seed.unwrap_or(run.seed);
@@ -656,12 +639,6 @@ impl Typed {
         run.actors = self.actors.unwrap_or(run.actors);
         self.limits.apply(config);
     }
-}
-
-/// What `--set` says, and `--algo` after it: an algorithm brings along defaults of its own.
-fn with_algo(sets: &[String], algo: Option<Algo>) -> Vec<String> {
-    let algo = algo.map(|algo| format!("run.algo={:?}", algo.name()));
-    sets.iter().cloned().chain(algo).collect()
 }
 
 #[derive(Debug, Subcommand)]

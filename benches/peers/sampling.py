@@ -4,6 +4,8 @@ cpprb gives numpy arrays of both states, actions, rewards and ends; Trestle's fi
 it. States have 4 numbers of four bytes, or MinAtar's 400 of one byte. Times are medians of CPU time.
 """
 
+from importlib.metadata import version
+
 import cpprb
 import numpy as np
 
@@ -34,7 +36,7 @@ def main() -> None:
     found = medians(cases, args.quick)
     rows = [{"op": "sample", "dim": dim, "element": element, "stored": STORED, "batch": BATCH, "ns": round(us * 1e3 / BATCH, 1)}
             for (element, dim), us in found.items()]
-    print_report("sampling", {"cpprb": cpprb.__version__ if hasattr(cpprb, "__version__") else "-"}, rows)
+    print_report("sampling", {"cpprb": version("cpprb")}, rows)
 
 
 if __name__ == "__main__":

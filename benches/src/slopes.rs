@@ -61,6 +61,17 @@ pub(super) fn run(effort: Effort) -> Result<Vec<Row>> {
 }
 
 impl Growth {
+    /// With the same slope expected everywhere.
+    fn even(
+        quantity: &'static str,
+        cost: &'static str,
+        slope: f64,
+        sizes: Vec<usize>,
+        us: Vec<Option<f64>>,
+    ) -> Self {
+        Self { quantity, cost, expected: vec![slope; sizes.len() - 1], sizes, us }
+    }
+
     fn rows(&self) -> Vec<Row> {
         let row = |at: usize| {
             let before = at.checked_sub(1);
@@ -106,13 +117,7 @@ fn drawn(effort: Effort) -> Result<Growth> {
     let sizes = STORED.map(|stored| effort.pick(stored, stored / QUICK)).to_vec();
     let mut cases = sizes.iter().map(|&stored| drawing(row, stored)).collect::<Result<Vec<_>>>()?;
     let us = medians(&mut cases, effort)?.into_iter().map(|ns| ns.map(|ns| ns / 1e3)).collect();
-    Ok(Growth {
-        quantity: "stored transitions",
-        cost: "drawing a batch",
-        expected: vec![0.0; sizes.len() - 1],
-        sizes,
-        us,
-    })
+    Ok(Growth::even("stored transitions", "drawing a batch", 0.0, sizes, us))
 }
 
 /// Bridge searches, in a world of cells.
@@ -121,13 +126,7 @@ fn searched(effort: Effort) -> Result<Growth> {
     let sizes = HISTORY.map(|stored| effort.pick(stored, stored / 10)).to_vec();
     let found = bridge(2, effort.pick(BRIDGED, BRIDGED / QUICK), 0.0, &sizes)?;
     let us = found.into_iter().map(|(_, ns, _)| Some(ns / 1e3)).collect();
-    Ok(Growth {
-        quantity: "stored transitions",
-        cost: "bridge search",
-        expected: vec![0.0; sizes.len() - 1],
-        sizes,
-        us,
-    })
+    Ok(Growth::even("stored transitions", "bridge search", 0.0, sizes, us))
 }
 
 /// Queries for the mentor states similar to a state.
@@ -142,20 +141,14 @@ fn similar_states(effort: Effort) -> Result<Growth> {
     let indexed = |(world, demonstration)| similar(world, demonstration).into_iter().next();
     let mut cases: Vec<Case<'_>> = worlds.iter().zip(&demonstrations).filter_map(indexed).collect();
     let us = medians(&mut cases, effort)?.into_iter().map(|ns| ns.map(|ns| ns / 1e3)).collect();
-    Ok(Growth {
-        quantity: "mentor states",
-        cost: "similar states",
-        expected: vec![0.0; sizes.len() - 1],
-        sizes,
-        us,
-    })
+    Ok(Growth::even("mentor states", "similar states", 0.0, sizes, us))
 }
 
 /// Lockstep ticks in which nobody has anything to do.
 fn ticks(effort: Effort) -> Result<Growth> {
     let us = ACTORS.into_iter().map(|actors| tick_us(actors, effort).map(Some)).collect::<Result<_>>()?;
     let sizes = ACTORS.map(|actors| actors as usize).to_vec();
-    Ok(Growth { quantity: "actors", cost: "tick", expected: vec![1.0; sizes.len() - 1], sizes, us })
+    Ok(Growth::even("actors", "tick", 1.0, sizes, us))
 }
 
 #[cfg(test)]

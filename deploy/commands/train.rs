@@ -28,12 +28,12 @@ pub(super) fn run(args: &Train) -> Result<ExitCode> {
         (_, true) => Existing::Overwrite,
         _ => Existing::Keep,
     };
-    let (source, of) = named(&args.source.config, existing)?;
-    let config = config::load_with(registry(), &source, &args.sets(), |config| args.apply(config))?;
+    let (source, of) = named(&args.typed.source.config, existing)?;
+    let config = config::load_with(registry(), &source, &args.typed.sets(), |config| args.apply(config))?;
     let root = match (&args.out, of) {
         (Some(out), _) => out.clone(),
         (None, Some(run)) if existing == Existing::Resume => run,
-        (None, _) => default_out(&args.source.config, &config),
+        (None, _) => default_out(&args.typed.source.config, &config),
     };
     show(args.beside, &root)?;
     prepare::recover(&root)?.iter().for_each(|note| crate::output::say(note));

@@ -1,5 +1,5 @@
 #!/bin/sh
-# The rivals beside `dqn` and `trestle` on one maze of each of eight generators. No choice was made on any of them.
+# The rivals beside `dqn` and `trestle` on one maze of each of eight generators. No value was chosen on any of them.
 # docs/rivals.md has the result.
 # usage: rivals.sh OUT [further arguments of `trestle sweep`, such as --jobs 2]
 # It goes on where it was stopped. The weights are the ones that rivals-choosing.sh found best.

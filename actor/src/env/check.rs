@@ -7,7 +7,7 @@ use trestle_proto::rng::{Purpose, Stream, stream};
 
 /// Steps that are played on after an episode was saved, at most.
 const PLAYED_ON: usize = 300;
-/// Lengths of what is played before an episode is saved.
+/// Steps that are played before the episode is saved, each time.
 const SAVED_AFTER: [usize; 5] = [0, 1, 17, 100, 433];
 
 /// Plays the environment `K`, called `name`, with `sets` (`key=value`) at random, and checks that its observations are in its

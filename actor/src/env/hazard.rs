@@ -65,13 +65,16 @@ impl Environment for Hazardous {
             self.taken.fetch_add(1, Ordering::Relaxed);
             return Ok(step);
         }
-        if kind == HazardKind::Slow {
-            thread::sleep(SLOW);
-            return self.env.step(action, obs);
+        // A slow step does no harm.
+        if kind != HazardKind::Slow {
+            tracing::warn!(kind = kind.name(), after, "env.hazard strikes");
         }
-        tracing::warn!(kind = kind.name(), after, "env.hazard strikes");
         match kind {
-            HazardKind::None | HazardKind::Slow => self.env.step(action, obs),
+            HazardKind::None => self.env.step(action, obs),
+            HazardKind::Slow => {
+                thread::sleep(SLOW);
+                self.env.step(action, obs)
+            }
             HazardKind::Abort => std::process::abort(),
             HazardKind::Panic => {
                 panic!("env.hazard: the panic that was asked for, after {after} steps of the process")

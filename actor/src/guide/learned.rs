@@ -69,7 +69,7 @@ pub struct Progress {
 }
 
 /// A step without a goal.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Roamed {
     /// Where it was taken.
     place: Vec<f32>,
@@ -163,13 +163,17 @@ impl Learned {
     /// A step in `obs` without a goal: the last one again, unless it led nowhere, or another one. Draws a word, and half of one for
     /// another one.
     fn roam(&mut self, obs: &[f32], rng: &mut Stream) -> u32 {
-        let mut place = Vec::with_capacity(self.route.goal.dim());
-        self.route.goal.place(obs, &mut place);
+        let Route { goal, place, .. } = &mut self.route;
+        place.clear();
+        goal.place(obs, place);
         let again = unit(rng) < self.persist;
-        let last = self.progress.roamed.take().filter(|last| again && last.place != place);
-        let action = last.map_or_else(|| below(rng, self.outputs.len()) as u32, |last| last.action);
-        self.progress.roamed = Some(Roamed { place, action });
-        action
+        let last = self.progress.roamed.get_or_insert_default();
+        // A step from no place is none.
+        if !again || last.place.is_empty() || last.place == *place {
+            last.action = below(rng, self.outputs.len()) as u32;
+        }
+        last.place.clone_from(place);
+        last.action
     }
 
     /// A tracker at the beginning of a guided episode, for an agent that follows π alone.

@@ -17,7 +17,8 @@
 //!
 //! *Roaming.* Where a guided episode has not come further for `idle` steps, the guide lets go for `roam` steps, in which the
 //! observer explores freely, and then leads again: the mentor may have gone on where the observer cannot, and the way round begins
-//! elsewhere. As long as there is no own path, each time in a row is `back_off` times as long as the one before. At the end of a path there is nothing to lead to, and it lets go for good.
+//! elsewhere. As long as there is no own path, each time in a row is `back_off` times as long as the one before. At the end of a path
+//! there is nothing to lead to, and it lets go for good.
 
 use super::path::{Paths, Place};
 use crate::similarity::Hit;

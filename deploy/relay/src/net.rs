@@ -161,7 +161,7 @@ pub(crate) fn set(config: &mut Config, key: &str, value: &str) -> Result<(), Fai
 }
 
 /// Ends this program as soon as its starter, `parent`, is gone. The end of standard input says so as well, but a record may wait for
-/// the network meanwhile, and whoever comes next needs the port.
+/// the network meanwhile, and the next relay needs the port.
 fn leave_with(parent: u32) {
     thread::spawn(move || {
         while parent_id() == parent {
