@@ -1,9 +1,12 @@
 //! Logs of bounded size: a file that has grown to its limit becomes `<name>.1`, in the place of an older one, and a new one
 //! is begun. So a process keeps at most twice the limit, and always its newest lines.
+//!
+//! A log that is being written is not renamed: an environment may write it as its standard output, or hand it on to programs
+//! that it starts, and all of these would go on with the renamed file. Its end is copied, and then it is emptied. Everybody
+//! writes at its end, wherever that is.
 
-use rustix::stdio::dup2_stderr;
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -46,16 +49,30 @@ impl OwnLog {
         (there.is_file() && (own.dev(), own.ino()) == (there.dev(), there.ino())).then_some(own.len())
     }
 
-    /// Begins a new file if the log has grown to its limit, whichever process wrote the lines. To be called now and then.
+    /// Empties the log if it has grown to its limit, whichever process wrote the lines; its end is in [`former`] from then on.
+    /// To be called now and then.
     ///
     /// # Errors
     /// What the system says. The log grows on then.
     pub fn keep_bounded(&self) -> io::Result<()> {
         match self.length() {
-            Some(MAX_LOG_BYTES..) => Ok(dup2_stderr(open(&self.0)?)?),
+            Some(MAX_LOG_BYTES..) => empty(&self.0),
             _ => Ok(()),
         }
     }
+}
+
+/// Room in the copy for lines that come while others are copied. Those of a process that writes faster than that are lost.
+const LATE: u64 = MAX_LOG_BYTES / 4;
+
+/// Copies the end of the log at `path` to where its former lines are, [`MAX_LOG_BYTES`] at most, and empties it.
+fn empty(path: &Path) -> io::Result<()> {
+    let mut log = own_file::change(path)?;
+    let mut copy = own_file::create(&former(path))?;
+    let length = log.metadata()?.len();
+    log.seek(SeekFrom::Start(length.saturating_sub(MAX_LOG_BYTES - LATE)))?;
+    io::copy(&mut log.by_ref().take(MAX_LOG_BYTES), &mut copy)?;
+    log.set_len(0)
 }
 
 #[cfg(test)]
@@ -80,5 +97,25 @@ mod tests {
         let newest = fs::read(&path).unwrap();
         assert_eq!(newest[newest.len() - line.len() - 4..][..4], 199u32.to_be_bytes());
         assert!(OwnLog::at(path).is_none(), "it is not this process's standard error");
+    }
+
+    /// Whoever has the log open goes on writing it, and not what it was.
+    #[test]
+    fn a_log_that_others_write_is_emptied() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("actor-0.log");
+        let mut others = [open(&path).unwrap(), open(&path).unwrap()];
+        let burst = vec![b'x'; 3 * MAX_LOG_BYTES as usize];
+        for round in 0..3 {
+            others[round % 2].write_all(&burst).unwrap();
+            others[0].write_all(b"the end").unwrap();
+            empty(&path).unwrap();
+            assert_eq!(fs::metadata(&path).unwrap().len(), 0);
+            let kept = fs::read(former(&path)).unwrap();
+            assert!(kept.len() as u64 == MAX_LOG_BYTES - LATE && kept.ends_with(b"xthe end"));
+            others[1].write_all(b"more").unwrap();
+            assert_eq!(fs::read(&path).unwrap(), b"more");
+        }
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 }
