@@ -165,6 +165,28 @@ fn a_sweep() {
     assert!(whole.stdout.contains("2/2"), "{}", whole.stdout);
 }
 
+/// Without all of its evaluations a run does not go on. It is refused before anything is started, and stays as it is.
+#[test]
+fn lost_evaluations_are_named_before_anything_has_changed() {
+    let place = Place::new();
+    place.train("run", &[&ARGS[..], &["--episodes", "9"]].concat());
+    let (dir, root) = (place.run("run"), place.path("run"));
+    let whole = fs::read(dir.evals()).unwrap();
+    let result = fs::read(dir.result()).unwrap();
+    for kept in [whole.len() / 2, 60, 0] {
+        fs::write(dir.evals(), &whole[..kept]).unwrap();
+        let outcome = start(&["resume", &root, "--episodes", "12"]).finish();
+        assert!(!outcome.stderr.contains("learner ended"), "{}", outcome.stderr);
+        outcome.refused(&["--resume", "evals.csv"]);
+        assert_eq!(fs::read(dir.result()).unwrap(), result);
+    }
+    fs::remove_file(dir.evals()).unwrap();
+    start(&["resume", &root, "--episodes", "12"]).finish().refused(&["--resume", "evals.csv"]);
+    fs::write(dir.evals(), &whole).unwrap();
+    start(&["resume", &root, "--quiet", "--episodes", "12"]).finish().ok();
+    assert_eq!(Trace::of(&dir), place.train("twelve", &[&ARGS[..], &["--episodes", "12"]].concat()));
+}
+
 /// The last checkpoint comes on top of those that are kept, and goes when the run has gone on.
 #[test]
 fn what_it_goes_on_from_is_kept() {

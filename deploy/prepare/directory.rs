@@ -21,6 +21,7 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_learner::checkpoint;
+use trestle_learner::session::check_records;
 use trestle_link::log_file;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Mode};
@@ -131,6 +132,7 @@ impl Resolved {
             Some(former) => Life { run, generation: next_generation(former.generation)?, ..*former },
         };
         if let Some(tick) = life.resume_tick {
+            check_records(&dir, tick).context("--resume")?;
             let at = checkpoint::counters(&checkpoint::directory(root, tick))?;
             from = Some(format!(
                 "going on from episode {} and environment step {}, the checkpoint of tick {tick}",

@@ -183,6 +183,16 @@ impl reference::Learner for Session<'_> {
     }
 }
 
+/// Whether the run in `dir` still has the records without which it does not go on after checkpoint `tick`, for a caller that wants to
+/// know before anything is started.
+///
+/// # Errors
+/// What is missing, or a checkpoint that cannot be read.
+pub fn check_records(dir: &RunDir, tick: Round) -> Result<(), SessionError> {
+    let state: State = codec::decode(KIND, &checkpoint::load_run(&checkpoint::directory(dir.root(), tick))?)?;
+    Ok(state.recorder.check(dir.root())?)
+}
+
 impl<'a> Session<'a> {
     /// The beginning of `plan`'s run. `progress` is called a few times a second.
     pub fn new(

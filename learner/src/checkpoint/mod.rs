@@ -53,8 +53,8 @@ pub use best::{BestEvaluation, best_so_far, load_best, write_best};
 pub use error::CheckpointError;
 pub use manifest::{FORMAT, FileEntry, Manifest, fingerprint};
 pub use read::{
-    Loaded, counters, load, load_actors, load_model, newest_complete, newest_life, newest_resumable,
-    newest_version,
+    Loaded, counters, load, load_actors, load_model, load_run, newest_complete, newest_life,
+    newest_resumable, newest_version,
 };
 pub use saver::Saver;
 pub use write::{Cut, Taken, Unsynced};

@@ -225,6 +225,14 @@ pub fn counters(dir: &Path) -> Result<Counters, CheckpointError> {
     Ok(manifest::read(dir)?.counters)
 }
 
+/// What the run's loop gave of itself to the checkpoint in `dir`.
+///
+/// # Errors
+/// As [`load`], as far as that file is concerned.
+pub fn load_run(dir: &Path) -> Result<Vec<u8>, CheckpointError> {
+    frame(dir, &manifest::read(dir)?, RUN, RUN_KIND)
+}
+
 /// What each actor gave of itself to the checkpoint in `dir`, in the order of the actors.
 ///
 /// # Errors

@@ -36,6 +36,17 @@ impl Lines {
         Ok(Self { path: path.to_path_buf(), file, rows: 0 })
     }
 
+    /// Whether the file at `path` has its header and `rows` lines, all of which [`Lines::resume`] wants. Changes nothing.
+    pub(super) fn check(path: &Path, header: &'static str, rows: u64) -> Result<(), RecordError> {
+        let mut reader = BufReader::new(own_file::change(path).map_err(io("open", path))?);
+        match read_to_rows(&mut reader, path, header, rows)? {
+            (found, _) if found < rows => {
+                Err(RecordError::MissingRows { path: path.to_path_buf(), rows, found })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The file cut back to its header and the first `rows` lines; a torn line after them goes as well. `lost` says what is
     /// done about lines that are missing.
     pub(super) fn resume(
@@ -52,10 +63,7 @@ impl Lines {
             file => file.map_err(io("open", path))?,
         };
         let mut reader = BufReader::new(file);
-        if !starts_with(&mut reader, header.as_bytes()).map_err(io("read", path))? {
-            return Err(RecordError::Header { path: path.to_path_buf(), header: header.trim_end() });
-        }
-        let (found, bytes) = end_of_rows(&mut reader, rows).map_err(io("read", path))?;
+        let (found, bytes) = read_to_rows(&mut reader, path, header, rows)?;
         if found < rows {
             let missing = RecordError::MissingRows { path: path.to_path_buf(), rows, found };
             match lost {
@@ -94,6 +102,19 @@ impl Lines {
         let file = self.file.get_ref().try_clone().map_err(io("write", &self.path))?;
         Ok(Unsynced { path: self.path.clone(), file })
     }
+}
+
+/// Reads the file at `path` as far as its first `rows` lines behind `header`: those that are there, and the bytes that they take.
+fn read_to_rows(
+    reader: &mut impl BufRead,
+    path: &Path,
+    header: &'static str,
+    rows: u64,
+) -> Result<(u64, u64), RecordError> {
+    if !starts_with(reader, header.as_bytes()).map_err(io("read", path))? {
+        return Err(RecordError::Header { path: path.to_path_buf(), header: header.trim_end() });
+    }
+    end_of_rows(reader, rows).map_err(io("read", path))
 }
 
 /// Whether the next bytes are `header`; reads no further than that.
@@ -140,7 +161,14 @@ mod tests {
     fn damage_is_refused_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.csv");
-        let refused = |rows| Lines::resume(&path, HEADER, rows, Lost::Refused).unwrap_err();
+        let refused = |rows| {
+            let before = std::fs::metadata(&path).ok().map(|meta| meta.len());
+            let said = Lines::check(&path, HEADER, rows).unwrap_err();
+            assert_eq!(std::fs::metadata(&path).ok().map(|meta| meta.len()), before);
+            let error = Lines::resume(&path, HEADER, rows, Lost::Refused).unwrap_err();
+            assert_eq!(said.to_string(), error.to_string());
+            error
+        };
         assert!(matches!(refused(0), RecordError::Io { .. }));
 
         std::fs::write(&path, "a,c\n1,2\n").unwrap();

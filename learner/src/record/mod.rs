@@ -91,6 +91,16 @@ pub struct RecorderState {
     standing: Standing,
 }
 
+impl RecorderState {
+    /// Whether the run directory `dir` has the lines without which no run is recorded on: those of `evals.csv`.
+    ///
+    /// # Errors
+    /// What is missing.
+    pub fn check(&self, dir: &Path) -> Result<(), RecordError> {
+        Lines::check(&dir.join(EVALS_FILE), EVALS_HEADER, self.evals_rows)
+    }
+}
+
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ending {
@@ -143,6 +153,8 @@ impl Recorder {
         state: RecorderState,
         counters: Counters,
     ) -> Result<Self, RecordError> {
+        // What cannot go on stays as it is, the result included.
+        state.check(dir)?;
         forget_result(dir)?;
         let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows, Lost::Refused)?;
         let metrics = Lines::resume(&dir.join(METRICS_FILE), "", state.metrics_rows, Lost::Accepted)?;
