@@ -1,7 +1,7 @@
 //! Arguments as they are typed. What they mean together is resolved by the commands.
 
 use crate::carrier::{Network, Remote};
-use crate::flags::{Limits, Target, help, presets, setting, whole, word};
+use crate::flags::{Limits, Target, address, help, presets, setting, whole, word, word_or};
 use crate::submit::options::Options;
 use crate::sweep::arms::Arm;
 use crate::sweep::jobs::MAX_JOBS;
@@ -23,6 +23,8 @@ use trestle_suite::set::MAX_TRAJECTORIES;
 
 /// Greedy episodes that a command plays, at most.
 const MAX_EPISODES: u64 = 4096;
+/// The highest port.
+const MAX_PORT: u64 = u16::MAX as u64;
 
 /// Deep implicit imitation Q-learning for agents whose actions differ from their mentor's.
 #[derive(Debug, Parser)]
@@ -228,7 +230,7 @@ pub(crate) struct Resume {
 #[derive(Clone, Copy, Debug, Args)]
 pub(crate) struct Beside {
     /// Show it in a browser meanwhile, on this machine alone; at 8080 or the next free port if none is given
-    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, value_parser = whole::<u16>(0..=MAX_PORT))]
     pub(crate) watch: Option<Option<u16>>,
 }
 
@@ -238,10 +240,10 @@ pub(crate) struct Watch {
     #[arg(value_name = "DIR", default_value = "runs")]
     pub(crate) dir: PathBuf,
     /// The port; 8080 or the next one that is free if not given, any free one if 0
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(0..=MAX_PORT))]
     pub(crate) port: Option<u16>,
     /// The address; with 0.0.0.0 everybody who can reach this machine sees the page
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1", value_parser = address)]
     pub(crate) bind: IpAddr,
 }
 
@@ -612,7 +614,7 @@ pub(crate) struct MapImport {
 pub(crate) struct Typed {
     #[command(flatten)]
     pub(crate) source: Source,
-    #[arg(long, value_parser = word::<Algo>(), help = help("run.algo"))]
+    #[arg(long, value_parser = word_or::<Algo>(Arm::instead), help = help("run.algo"))]
     pub(crate) algo: Option<Algo>,
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = setting::<u64>("run.seed"), help = help("run.seed"))]
     pub(crate) seed: Option<u64>,

@@ -7,10 +7,11 @@ use clap::{Arg, Args, Command};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::marker::PhantomData;
+use std::net::IpAddr;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use trestle_actor::env::registry;
-use trestle_proto::config::{Choice, Config, Environments, Field, Setting};
+use trestle_proto::config::{Choice, Config, Environments, Field, Setting, is_whole};
 
 /// How long a run is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Args, Serialize, Deserialize)]
@@ -57,11 +58,20 @@ pub(crate) fn presets() -> String {
 
 /// Reads a word of `T`.
 #[derive(Clone)]
-pub(crate) struct Word<T>(PhantomData<T>);
+pub(crate) struct Word<T> {
+    /// What to type instead of a word that is none of these.
+    instead: fn(&str) -> Option<String>,
+    choice: PhantomData<T>,
+}
 
 /// The parser of a flag whose values are those of `T`.
 pub(crate) fn word<T: Choice>() -> Word<T> {
-    Word(PhantomData)
+    word_or(|_| None)
+}
+
+/// The same, where `instead` knows what other words stand for.
+pub(crate) fn word_or<T: Choice>(instead: fn(&str) -> Option<String>) -> Word<T> {
+    Word { instead, choice: PhantomData }
 }
 
 impl<T: Choice> TypedValueParser for Word<T> {
@@ -69,8 +79,13 @@ impl<T: Choice> TypedValueParser for Word<T> {
 
     fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<T, clap::Error> {
         let text = value.to_string_lossy();
-        T::of_name(&text)
-            .ok_or_else(|| refuse(command, arg, format!("{text}; accepted: {}", T::accepted_for(&text))))
+        T::of_name(&text).ok_or_else(|| {
+            let accepted = match (self.instead)(&text) {
+                Some(instead) => format!("{}; {instead}", T::names().collect::<Vec<_>>().join(", ")),
+                None => T::accepted_for(&text),
+            };
+            refuse(command, arg, format!("{text}; accepted: {accepted}"))
+        })
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
@@ -110,9 +125,15 @@ impl<T: TryFrom<u64> + Clone + Send + Sync + 'static> TypedValueParser for Whole
                 Some((key, accepted)) => format!("{text}: {key} = {text}; accepted: {accepted}"),
                 None => format!("{text}; accepted: {} to {}", self.range.start(), self.range.end()),
             };
-            refuse(command, arg, message)
+            let kind = if is_whole(&text) { "" } else { ", a whole number" };
+            refuse(command, arg, message + kind)
         })
     }
+}
+
+/// An address of the network.
+pub(crate) fn address(text: &str) -> Result<IpAddr, String> {
+    text.parse().map_err(|_| "accepted: an address, such as 127.0.0.1, 0.0.0.0 or ::1".into())
 }
 
 /// Reads the path of something that is to be written.

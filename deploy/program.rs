@@ -6,7 +6,8 @@ use crate::commands;
 use crate::itself::{self, args};
 use crate::output::{say, words};
 use crate::prepare;
-use clap::Parser;
+use clap::error::{ContextKind, ContextValue};
+use clap::{CommandFactory, Parser};
 use std::env::args_os;
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -139,7 +140,8 @@ impl Program {
 fn carry_out() -> u8 {
     let cli = match Cli::try_parse_from(args()) {
         Ok(cli) => cli,
-        Err(error) => {
+        Err(mut error) => {
+            known_alone(&mut error);
             let _ = error.print();
             return u8::try_from(error.exit_code()).unwrap_or(1);
         }
@@ -151,4 +153,19 @@ fn carry_out() -> u8 {
             1
         }
     }
+}
+
+/// Takes what only the program itself types out of the subcommands that `error` suggests.
+fn known_alone(error: &mut clap::Error) {
+    let Some(ContextValue::Strings(names)) = error.get(ContextKind::SuggestedSubcommand) else { return };
+    let command = Cli::command();
+    let hidden = |name: &String| command.find_subcommand(name).is_some_and(|found| found.is_hide_set());
+    let known: Vec<String> = names.iter().filter(|name| !hidden(name)).cloned().collect();
+    error.insert(
+        ContextKind::SuggestedSubcommand,
+        match known.is_empty() {
+            true => ContextValue::None,
+            false => ContextValue::Strings(known),
+        },
+    );
 }

@@ -119,8 +119,8 @@ fn flags() {
         ("--seed", "18446744073709551615", "run.seed = 18446744073709551615; accepted: 0 to 2^63 - 1"),
         ("--seed", "9223372036854775808", "run.seed = 9223372036854775808; accepted: 0 to 2^63 - 1"),
         ("--seed", "-1", "run.seed = -1; accepted: 0 to 2^63 - 1"),
-        ("--actors", "many", "run.actors = many; accepted: 1 to 64"),
-        ("--env-steps", "1e6", "run.env_steps = 1e6; accepted: 1 or more"),
+        ("--actors", "many", "run.actors = many; accepted: 1 to 64, a whole number"),
+        ("--env-steps", "1e6", "run.env_steps = 1e6; accepted: 1 or more, a whole number"),
     ] {
         refused_training(&place, &["maze-small", flag, value], &[accepted, &format!("{flag} {value}")]);
     }
@@ -156,6 +156,43 @@ fn flags() {
             &[role, &["--run", &place.path("run")]].concat(),
             &["joining the run", "not in progress"],
         );
+    }
+}
+
+#[test]
+fn a_misspelt_name_is_met_with_the_right_one() {
+    let place = Place::new();
+    let cases: [(&[&str], &str); 14] = [
+        (&["train", "gim:CartPole-v1"], "did you mean `gym:CartPole-v1`?"),
+        (&["train", "maze-smal"], "did you mean `maze-small`?"),
+        (&["train", "maze-small", "--set", "env.map=radnom:1:9x9"], "did you mean `random:1:9x9`?"),
+        (&["train", "maze-small", "--set", "env.map=lage"], "did you mean `large`?"),
+        (&["train", "maze-small", "--set", "hazard.kind=none"], "did you mean `env.hazard`?"),
+        (&["train", "maze-small", "--set", "map=umaze"], "did you mean `env.maze.map`?"),
+        (&["train", "maze-small", "--set", "maze.map=umaze"], "did you mean `env.maze`?"),
+        (&["train", "maze-small", "--set", "learner_gama=0.9"], "did you mean `learner.gamma`?"),
+        (&["train", "maze-small", "--set", "mentor.selection.rule=confidense"], "min-distance, confidence"),
+        (
+            &["train", "maze-small", "--algo", "dqn+gafo"],
+            "for dqn+gaifo type --algo dqn --set rival.kind=gaifo",
+        ),
+        (&["train", "maze-small", "--algo", "ha-diqn+guided"], "did you mean `ha-diiqn`?"),
+        (&["config", "list", "maze-smal"], "did you mean `maze-small`?"),
+        (&["config", "list", "gim"], "did you mean `gym`?"),
+        (&["config", "list", "hazard"], "did you mean `env.hazard`?"),
+    ];
+    for (args, says) in cases {
+        refused(&place, args, &[says]);
+    }
+    let said = start(&["tran"]).finish().stderr;
+    assert!(said.contains("'train'") && !said.contains("orphaned"), "what only the program types: {said}");
+    for (args, says) in [
+        (&["watch", "--port", "65536"][..], "--port 65536; accepted: 0 to 65535"),
+        (&["train", "maze-small", "--watch=x"], "--watch x; accepted: 0 to 65535, a whole number"),
+        (&["watch", "--bind", "here"], "accepted: an address, such as 127.0.0.1"),
+        (&["eval", "no-such-run"], "no-such-run is not a run's directory: there is nothing"),
+    ] {
+        refused(&place, args, &[says]);
     }
 }
 

@@ -69,11 +69,14 @@ fn list(key: Option<&str>) -> Result<()> {
         if is_preset(key) {
             return list_changed(key, &all);
         }
-        let elsewhere = all.iter().find(|setting| setting.name() == key);
+        let keys: Vec<String> = all.iter().map(|setting| setting.key.clone()).collect();
+        let presets = registry().presets().into_iter().map(|preset| preset.name);
+        let short = registry().names().into_iter().filter(|name| is_preset(name));
         let known = all.iter().flat_map(|setting| [setting.key.as_str(), setting.table()]);
-        let hint = elsewhere
-            .map_or_else(|| names::hint(key, known), |setting| format!("; did you mean `{}`?", setting.key));
-        bail!("{key}: there is no such setting or table{hint}");
+        let meant = names::nearest(key, known.chain(presets).chain(short)).map(String::from);
+        let meant = meant.or_else(|| config::elsewhere(key, &keys));
+        let hint = meant.map_or_else(String::new, |meant| format!("; did you mean `{meant}`?"));
+        bail!("{key}: there is no such setting, table or preset{hint}");
     }
     for setting in asked {
         let config::Setting { key: name, kind, default, accepted, help, choices } = setting;

@@ -64,6 +64,22 @@ impl Arm {
         Algo::ALL.iter().map(|&(algo, ..)| Self::plain(algo)).chain(rivals).collect()
     }
 
+    /// What to type for one algorithm in the place of `name`, which is the name of a run of it with something added.
+    pub(crate) fn instead(name: &str) -> Option<String> {
+        let (algo, _) = name.split_once('+')?;
+        let rivals = RIVALS.map(|(rival, ..)| rival);
+        let rival = RIVALS.iter().find(|(rival, ..)| names::nearest(name, rivals) == Some(rival));
+        if let Some((rival, algo, kind)) = rival {
+            return Some(format!(
+                "for {rival} type --algo {} --set rival.kind={}, or `trestle sweep` with --algos {rival}",
+                algo.name(),
+                kind.name()
+            ));
+        }
+        let algo = names::nearest(algo, Algo::names())?;
+        Some(format!("did you mean `{algo}`? What follows a + in the name of a run comes from settings"))
+    }
+
     /// The one of [`Arm::known`] that is called `name`.
     pub(crate) fn of_name(name: &str) -> Result<Self, String> {
         let known = Self::known();

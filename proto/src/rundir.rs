@@ -62,6 +62,12 @@ pub enum RunDirError {
         /// The file that is missing.
         missing: &'static str,
     },
+    /// There is nothing.
+    #[error("{path} is not a run's directory: there is nothing")]
+    Nothing {
+        /// The directory.
+        path: PathBuf,
+    },
     /// The plan is damaged or of another version.
     #[error("{path}: {source}")]
     Plan {
@@ -202,6 +208,7 @@ impl RunDir {
         let path = self.plan();
         let bytes =
             regular_file::read(&path, MAX_BODY as u64).map_err(|error| match error.is_not_found() {
+                true if !self.root.exists() => RunDirError::Nothing { path: self.root.clone() },
                 true => RunDirError::NotARun { path: self.root.clone(), missing: PLAN_FILE },
                 false => RunDirError::File(error),
             })?;
@@ -318,5 +325,6 @@ mod tests {
         assert!(matches!(run.read_plan(), Err(RunDirError::NotARun { .. })));
         fs::write(run.plan(), b"rubbish").unwrap();
         assert!(matches!(run.read_plan(), Err(RunDirError::Plan { .. })));
+        assert!(matches!(RunDir::new(dir.path().join("none")).read_plan(), Err(RunDirError::Nothing { .. })));
     }
 }

@@ -6,6 +6,8 @@ use std::path::PathBuf;
 
 /// Longest value that a message shows whole, characters.
 const MAX_SHOWN: usize = 160;
+/// Letters of a name from which on those that only nearly equal it are looked for in other tables.
+const MIN_LETTERS: usize = 4;
 
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -73,18 +75,53 @@ pub fn refuse(key: &str, value: impl Display, accepted: &str) -> ConfigError {
 }
 
 /// Refuses `name`, which is neither one of `presets` nor a file.
-pub(super) fn unknown_source(name: &str, presets: &[&str]) -> ConfigError {
-    let hint = names::hint(name, presets.iter().copied());
+pub(super) fn unknown_source(
+    name: &str,
+    presets: &[&str],
+    short: &dyn Fn(&str) -> bool,
+    environments: &[&str],
+) -> ConfigError {
+    let environment = || {
+        let (typed, rest) = name.split_once(':')?;
+        let meant = format!("{}:{rest}", names::nearest(typed, environments.iter().copied())?);
+        short(&meant).then(|| format!("; did you mean `{meant}`?"))
+    };
+    let hint = environment().unwrap_or_else(|| names::hint(name, presets.iter().copied()));
     ConfigError::Unknown { name: name.into(), presets: presets.join(", "), hint }
+}
+
+/// Which of the keys `all`, or of their tables, `key` was probably meant to be, whose table was left out or confused: one that ends
+/// alike, or else one that nearly does.
+pub fn elsewhere(key: &str, all: &[String]) -> Option<String> {
+    let last = key.rsplit('.').next().unwrap_or_default();
+    let tables = all.iter().flat_map(|key| key.match_indices('.').map(|(end, _)| &key[..end]));
+    let known: Vec<&str> = all.iter().map(String::as_str).chain(tables).collect();
+    let end_of = |known: &'_ &str| known.rsplit('.').next().unwrap_or_default().to_string();
+    if let Some(same) = known.iter().find(|known| end_of(known) == last) {
+        return Some(same.to_string());
+    }
+    // A few letters are near too many names.
+    if last.chars().count() < MIN_LETTERS {
+        return None;
+    }
+    let dashes = |text: &str| text.replace('.', "-");
+    let ends: Vec<String> = known.iter().map(end_of).collect();
+    let whole: Vec<String> = known.iter().map(|known| dashes(known)).collect();
+    let found = |names: &[String], name: &str| {
+        let nearest = names::nearest(name, names.iter().map(String::as_str))?;
+        names.iter().position(|name| name == nearest).map(|place| known[place].to_string())
+    };
+    // A whole key is only meant where its points have become something else: it would be near too many others.
+    let without_points = || found(&whole, key).filter(|_| key == last);
+    without_points().or_else(|| found(&ends, last))
 }
 
 /// Refuses the key `name` in the table `table`, whose settings are `known`. `all` are the keys of every table: one of them
 /// may be meant whose table was left out or confused.
 pub(super) fn unknown_key(table: &str, name: &str, known: &[&str], all: &[String]) -> ConfigError {
     let below = |name: &str| if table.is_empty() { name.into() } else { format!("{table}.{name}") };
-    let last = |key: &str| key.rsplit('.').next() == Some(name);
-    let elsewhere = || all.iter().find(|key| last(key)).cloned();
-    let instead = match names::nearest(name, known.iter().copied()).map(below).or_else(elsewhere) {
+    let near = names::nearest(name, known.iter().copied()).map(below);
+    let instead = match near.or_else(|| elsewhere(&below(name), all)) {
         Some(meant) => format!("; did you mean `{meant}`?"),
         None if table.is_empty() => format!("; tables: {}", known.join(", ")),
         None => format!("; accepted in [{table}]: {}", known.join(", ")),

@@ -1,12 +1,14 @@
 //! From a preset or a file and overrides to a checked [`Config`].
 
-use super::environments::{chosen, complete, expand};
-use super::error::{unknown_key, unknown_source};
+use super::environments::{chosen, complete, declared, expand};
+use super::error::{elsewhere, unknown_key, unknown_source};
+use super::setting::in_words;
 use super::{Algo, Choice, Config, ConfigError, Environments, Field, SelectionRule, before, refuse};
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
 use crate::regular_file::{self, FileError};
-use std::path::Path;
+use crate::rundir::{CONFIG_FILE, PLAN_FILE};
+use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// A configuration that is compiled in.
@@ -112,10 +114,14 @@ fn from_layers(
         merge(&mut table, layer.table, layer.depth);
     }
     complete(&mut table, &name, environments)?;
-    let mut config = decode(table)?;
+    let rules = environments.selections();
+    let selection = table.get("mentor").and_then(|mentor| mentor.get("selection"));
+    if let Some(value) = selection.filter(|value| !value.is_str() && !rules.is_empty()) {
+        return Err(SelectionRule::refused(&rules, &in_words(value)));
+    }
+    let mut config = decode(table).map_err(|error| in_environments(error, environments))?;
     flags(&mut config);
     config.validate()?;
-    let rules = environments.selections();
     if !rules.is_empty() {
         SelectionRule::chosen(&rules, &config.mentor)?;
     }
@@ -154,10 +160,16 @@ impl<'a> Presets<'a> {
         let path = Path::new(name);
         let fault = |message: String| ConfigError::Read { path: path.into(), message };
         let text = regular_file::read_to_string(path, MAX_TEXT_BYTES).map_err(|error| match error {
-            error if error.is_not_found() => unknown_source(name, &self.names()),
+            error if error.is_not_found() => {
+                let short = |text: &str| self.environments.shorthand(text).is_some();
+                unknown_source(name, &self.names(), &short, &self.environments.names())
+            }
             FileError::Io { error, .. } => fault(error.to_string()),
             FileError::Kind { kind, .. } => {
-                fault(format!("{kind}, not a file; accepted: a preset or a TOML file"))
+                let hint = of_run(path).map_or_else(String::new, |config| {
+                    format!("; did you mean `{}`, the configuration of the run there?", config.display())
+                });
+                fault(format!("{kind}, not a file; accepted: a preset or a TOML file{hint}"))
             }
             FileError::Large { bytes, limit, .. } => fault(format!("{bytes} bytes; accepted: up to {limit}")),
             FileError::NotText { error, .. } => fault(format!("line {} is not UTF-8 text", error.line)),
@@ -169,13 +181,19 @@ impl<'a> Presets<'a> {
     fn with_bases(&self, table: Table) -> Result<Vec<Table>, ConfigError> {
         let mut layers = vec![table];
         while let Some(base) = layers[0].remove("base") {
-            let name = super::setting::in_words(&base);
+            let name = in_words(&base);
             let accepted =
                 || format!("a preset: {}{}", self.names().join(", "), names::hint(&name, self.names()));
             layers.insert(0, self.find(&name).ok_or_else(|| refuse("base", &name, &accepted()))??);
         }
         Ok(layers)
     }
+}
+
+/// The configuration of the run in the directory `path`, or of the one that it is a checkpoint of.
+fn of_run(path: &Path) -> Option<PathBuf> {
+    let run = path.ancestors().take(3).find(|dir| dir.join(PLAN_FILE).is_file())?;
+    Some(run.join(CONFIG_FILE)).filter(|config| config.is_file())
 }
 
 /// `text` as a table of today's form.
@@ -189,6 +207,17 @@ fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
 
 fn decode(table: Table) -> Result<Config, ConfigError> {
     Config::read(Value::Table(table), "", "")
+}
+
+/// `error`, where a key that is no setting may be one of an environment's.
+fn in_environments(error: ConfigError, environments: &dyn Environments) -> ConfigError {
+    let ConfigError::Key { key, instead } = error else { return error };
+    if instead.contains("did you mean") {
+        return ConfigError::Key { key, instead };
+    }
+    let all: Vec<String> = declared(environments).into_iter().map(|setting| setting.key).collect();
+    let meant = elsewhere(&key, &all).map(|meant| format!("; did you mean `{meant}`?"));
+    ConfigError::Key { key, instead: meant.unwrap_or(instead) }
 }
 
 /// A part of a configuration.
@@ -246,7 +275,7 @@ mod tests {
     use super::*;
     use crate::config::setting::as_toml;
     use crate::config::testing::{Two, with};
-    use crate::config::{Algo, EncodingKind, Threshold, declared};
+    use crate::config::{Algo, EncodingKind, Threshold};
 
     fn refused(overrides: &[&str]) -> String {
         with("maze30", overrides).unwrap_err().to_string()
@@ -316,6 +345,17 @@ mod tests {
         );
         assert!(refused(&["gamma=0.9"]).ends_with("did you mean `learner.gamma`?"));
         assert!(refused(&["run.gamma=0.9"]).ends_with("did you mean `learner.gamma`?"));
+        for (typed, meant) in [
+            ("gama", "learner.gamma"),
+            ("learner_gamma", "learner.gamma"),
+            ("hazard.kind", "env.hazard"),
+            ("hazzard.kind", "env.hazard"),
+            ("env.step-limt", "env.step_limit"),
+            ("eval.epsilon_strat", "exploration.epsilon_start"),
+        ] {
+            let said = refused(&[&format!("{typed}=1")]);
+            assert!(said.ends_with(&format!("did you mean `{meant}`?")), "{typed}: {said}");
+        }
         assert!(refused(&["lerner.gamma=0.9"]).ends_with("did you mean `learner`?"));
         assert!(refused(&["nonsense=1"]).ends_with(
             "tables: run, env, exploration, learner, mentor, shaping, rival, eval, checkpoint, supervise"
@@ -323,7 +363,15 @@ mod tests {
         assert!(
             refused(&["checkpoint.often=1"]).ends_with("accepted in [checkpoint]: every_env_steps, keep")
         );
-        assert_eq!(refused(&["learner.batch=many"]), "learner.batch = many; accepted: 1 to 1024");
+        assert_eq!(
+            refused(&["learner.batch=many"]),
+            "learner.batch = many; accepted: 1 to 1024, a whole number"
+        );
+        assert_eq!(
+            refused(&["learner.batch=3.5"]),
+            "learner.batch = 3.5; accepted: 1 to 1024, a whole number"
+        );
+        assert!(refused(&["learner.hidden=64"]).ends_with("1 to 4096 units, a list of whole numbers"));
         assert_eq!(refused(&["learner.batch=-1"]), "learner.batch = -1; accepted: 1 to 1024");
         assert_eq!(refused(&["learner=1"]), "learner = 1; accepted: a table of settings");
         assert_eq!(

@@ -34,7 +34,7 @@ pub use conv::ConvLayer;
 pub use demos::{Demos, ONLY, PLAN};
 pub use environment::{EncodingKind, Env, SHARED};
 pub use environments::{Environments, declared};
-pub use error::{ConfigError, refuse};
+pub use error::{ConfigError, elsewhere, refuse};
 pub use features::Features;
 pub use hazard::{Hazard, HazardKind, HazardScope};
 pub use learned::Learned;
@@ -46,7 +46,7 @@ pub use mentor::{
 pub use rival::{AdversarialKind, DShape, Gaifo, Inverse, Resets, Rival, RivalKind, SquashKind, Transport};
 pub use run::{Algo, IsaKind, Mode, Run};
 pub use selection::{SelectionRule, listed};
-pub use setting::{Choice, Field, Setting, expansion};
+pub use setting::{Choice, Field, Setting, expansion, is_whole};
 pub use threshold::Threshold;
 pub use toml::{Table, Value};
 pub use upkeep::{Checkpoint, Eval, Supervise};

@@ -35,16 +35,19 @@ impl SelectionRule {
     /// There is no such rule, or it cannot be had with another setting.
     pub fn chosen(rules: &[Self], mentor: &Mentor) -> Result<Self, ConfigError> {
         let name = mentor.selection.as_str();
-        let Some(rule) = rules.iter().find(|rule| rule.name == name) else {
-            let all = rules.iter().map(|rule| rule.name);
-            let accepted =
-                format!("{}{}", all.clone().collect::<Vec<_>>().join(", "), names::hint(name, all));
-            return Err(refuse(KEY, name, &accepted));
-        };
+        let rule = rules.iter().find(|rule| rule.name == name);
+        let rule = rule.ok_or_else(|| Self::refused(rules, name))?;
         rule.goes_with("mentor.draw", mentor.draw, rule.draws)?;
         rule.goes_with("mentor.combine", mentor.combine, rule.combines)?;
         rule.goes_with("mentor.reward", mentor.reward, rule.rewards)?;
         Ok(*rule)
+    }
+
+    /// The refusal of `name`, which is none of `rules`.
+    pub(super) fn refused(rules: &[Self], name: &str) -> ConfigError {
+        let all = rules.iter().map(|rule| rule.name);
+        let accepted = format!("{}{}", all.clone().collect::<Vec<_>>().join(", "), names::hint(name, all));
+        refuse(KEY, name, &accepted)
     }
 
     fn goes_with<T: PartialEq + Copy + Display>(

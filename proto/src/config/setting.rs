@@ -124,9 +124,31 @@ pub trait Field: Sized + Serialize + Debug + 'static {
     }
 }
 
-/// `value` as serde reads it, or a refusal in words.
-fn by_serde<T: DeserializeOwned>(value: Value, key: &str, accepted: &str) -> Result<T, ConfigError> {
-    value.clone().try_into().map_err(|_| refuse(key, in_words(&value), accepted))
+/// `value` as serde reads it, or a refusal in words, which names the type `kind` where the value is of another one and
+/// `accepted` does not tell.
+fn by_serde<T: DeserializeOwned>(
+    value: Value,
+    key: &str,
+    kind: &str,
+    accepted: &str,
+) -> Result<T, ConfigError> {
+    value.clone().try_into().map_err(|_| {
+        let text = in_words(&value);
+        let of_kind = match kind {
+            "whole number" => is_whole(&text),
+            list if list.starts_with("list") => value.is_array(),
+            _ => true,
+        };
+        let told = of_kind || accepted.contains(kind);
+        let accepted = if told { accepted.into() } else { format!("{accepted}, a {kind}") };
+        refuse(key, text, &accepted)
+    })
+}
+
+/// Whether `text` is a whole number, of whatever size.
+pub fn is_whole(text: &str) -> bool {
+    let digits = text.strip_prefix(['-', '+']).unwrap_or(text);
+    !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 macro_rules! plain_fields {
@@ -140,7 +162,7 @@ macro_rules! plain_fields {
         }
 
         fn read(value: Value, key: &str, accepted: &str) -> Result<Self, ConfigError> {
-            by_serde(value, key, accepted)
+            by_serde(value, key, $kind, accepted)
         }
     })+ };
 }

@@ -134,7 +134,10 @@ impl ActionSets<'_> {
         let mut directions = Vec::with_capacity(names.len());
         for text in names {
             match Direction::ALL.into_iter().find(|d| d.name() == text) {
-                None => return refuse(format!("`{text}`; accepted: N, NE, E, SE, S, SW, W, NW")),
+                None => {
+                    let hint = names::hint(text, Direction::ALL.map(Direction::name));
+                    return refuse(format!("`{text}`; accepted: N, NE, E, SE, S, SW, W, NW{hint}"));
+                }
                 Some(d) if directions.contains(&d) => {
                     return refuse(format!("`{text}` is given twice; accepted: each direction once"));
                 }

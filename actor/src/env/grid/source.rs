@@ -95,7 +95,12 @@ fn random(generator: Generator, description: &str, run_seed: u64) -> Option<(u64
 fn read(name: &str) -> Result<String, GridError> {
     let bytes = regular_file::read(Path::new(name), MAX_TEXT_BYTES).map_err(|error| match error {
         error if error.is_not_found() => {
-            let hint = names::hint(name, BUILTIN.map(|(known, _)| known));
+            let generator = || {
+                let (typed, rest) = name.split_once(':')?;
+                let meant = names::nearest(typed, Generator::ALL.map(|(_, known, _)| known))?;
+                Some(format!("; did you mean `{meant}:{rest}`?"))
+            };
+            let hint = generator().unwrap_or_else(|| names::hint(name, BUILTIN.map(|(known, _)| known)));
             GridError::UnknownMap { name: name.into(), hint }
         }
         error => GridError::ReadMap(error),
@@ -120,6 +125,8 @@ mod tests {
         assert!(ACCEPTED.starts_with(&builtin_names()));
         assert!(Generator::ALL.iter().all(|(_, name, _)| ACCEPTED.contains(name)));
         assert!(refused("maze-smal").ends_with("did you mean `maze-small`?"));
+        assert!(refused("radnom:1:10x10").ends_with("did you mean `random:1:10x10`?"));
+        assert!(refused("serpentine-4:run:9x9").ends_with("did you mean `serpentine-1:run:9x9`?"));
     }
 
     #[test]
