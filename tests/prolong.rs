@@ -165,6 +165,30 @@ fn a_sweep() {
     assert!(whole.stdout.contains("2/2"), "{}", whole.stdout);
 }
 
+/// All runs of a sweep are equally long, and those that stopped early can be told to go on.
+#[test]
+fn a_sweep_that_stopped_because_it_was_solved() {
+    let place = Place::new();
+    let out = place.path("s");
+    let args = ["maze-small", "--algo", "dqn", "--seed", "4", "--set", "eval.threshold=-4000"];
+    let alone = place.train("alone", &[&args[..], &["--episodes", "30"]].concat());
+    let sweep = ["sweep", "maze-small", "--algos", "dqn", "--seeds", "3..5", "--quiet", "--out", &out];
+    let sets = ["--set", "eval.threshold=-4000", "--set", "run.stop_when_solved=true", "--episodes", "25"];
+    start(&[&sweep[..], &sets].concat()).finish().ok();
+    let stopped = Trace::of(&place.run("s/dqn/seed-4"));
+    assert!(stopped.result.episodes < 25);
+
+    let resume =
+        |more: &[&str]| start(&[&["sweep", "--resume", "--quiet", "--out", &out], more].concat()).finish();
+    let said = resume(&["--episodes", "30"]).ok().stderr;
+    assert!(said.contains("2 runs are as long as it took to solve them"), "{said}");
+    assert_eq!(Trace::of(&place.run("s/dqn/seed-4")), stopped);
+    resume(&["--episodes", "29"]).refused(&["--episodes 29; accepted: 30 or more"]);
+    resume(&["--set", "learner.lr=0.1"]).refused(&["--set learner.lr=0.1", "run.stop_when_solved"]);
+    resume(&["--set", "run.stop_when_solved=false"]).ok();
+    assert_eq!(Trace::of(&place.run("s/dqn/seed-4")), alone);
+}
+
 /// Without all of its evaluations a run does not go on. It is refused before anything is started, and stays as it is.
 #[test]
 fn lost_evaluations_are_named_before_anything_has_changed() {

@@ -90,6 +90,20 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     };
     let swept = sweep.run()?;
     if of_suite { by_group(&sweep, &swept) } else { report(&sweep, &swept) }?;
+    let longer = args.limits.episodes.is_some() || args.limits.env_steps.is_some();
+    let solved = sweep.jobs.iter().zip(&swept.outcomes).filter(|(job, outcome)| match outcome {
+        Outcome::Complete(result) => job.config.run.stop_when_solved && result.solved_episode.is_some(),
+        _ => false,
+    });
+    match solved.count() {
+        0 => {}
+        count if args.resume && longer => crate::output::say(&format!(
+            "note: {count} runs are as long as it took to solve them; `trestle sweep --resume --out {} --set \
+             run.stop_when_solved=false` prolongs them",
+            args.out.display()
+        )),
+        _ => {}
+    }
     let failed = swept.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
     if swept.interrupted {
         let out = args.out.display();
@@ -131,6 +145,7 @@ fn asked(args: &Args) -> Result<Asked> {
         let seeds = args.seeds.as_ref().context("--seeds is not given; accepted: seeds, such as 0..10")?;
         // Where there is no sweep yet, --resume begins it.
         let there = Manifest::read(&args.out).ok().filter(|_| args.resume);
+        there.as_ref().map_or(Ok(()), |there| there.check_limits(args.limits))?;
         let limits = there.map_or(args.limits, |there| args.limits.or(there.limits));
         let (sets, seeds) = (args.sets.clone(), seeds.0.clone());
         if source == SUITE {
@@ -150,7 +165,10 @@ fn asked(args: &Args) -> Result<Asked> {
             suite: None,
         });
     }
-    let Manifest { source, sets, limits, arms, seeds, .. } = Manifest::read(&args.out)?;
+    let there = Manifest::read(&args.out)?;
+    there.check_limits(args.limits)?;
+    let sets = there.sets_with(&args.sets)?;
+    let Manifest { source, limits, arms, seeds, .. } = there;
     let seeds = args.seeds.as_ref().map_or(seeds, |typed| typed.0.clone());
     Ok(Asked { source, sets, limits: args.limits.or(limits), arms, seeds, suite: None })
 }

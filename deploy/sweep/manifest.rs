@@ -40,6 +40,22 @@ pub(crate) struct Manifest {
     pub(crate) seeds: Vec<u64>,
 }
 
+/// The settings that may differ when a run goes on, as `resolve_run` takes them over, and the tables of such.
+const MAY_CHANGE: [&str; 5] =
+    ["run.episodes", "run.env_steps", "run.stop_when_solved", "learner.threads", "checkpoint.keep"];
+const TABLES: [&str; 2] = ["env.hazard", "supervise"];
+
+/// The key of `key=value`.
+fn key_of(set: &str) -> &str {
+    set.split('=').next().unwrap_or_default().trim()
+}
+
+/// Whether the setting `key` may differ when a run goes on.
+fn may_change(key: &str) -> bool {
+    let within = |table: &str| key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'));
+    MAY_CHANGE.contains(&key) || TABLES.into_iter().any(within)
+}
+
 /// The directory of arm `arm` and seed `seed` in the sweep's directory `out`.
 pub(crate) fn run_dir(out: &Path, arm: &str, seed: u64) -> PathBuf {
     out.join(arm).join(format!("seed-{seed}"))
@@ -73,13 +89,44 @@ impl Manifest {
         serde_json::from_str(&text).with_context(|| format!("{} cannot be read", path.display()))
     }
 
-    /// The settings but for the length of the runs, which may change.
+    /// The settings but for those that may change.
     fn settings(&self) -> Vec<&String> {
-        let length = |set: &&String| {
-            let key = set.split('=').next().unwrap_or_default().trim();
-            ["run.episodes", "run.env_steps"].contains(&key)
-        };
-        self.sets.iter().filter(|set| !length(set)).collect()
+        self.sets.iter().filter(|set| !may_change(key_of(set))).collect()
+    }
+
+    /// The settings of all arms with `typed` in the place of former ones.
+    ///
+    /// # Errors
+    /// One that would make other runs of them.
+    pub(crate) fn sets_with(&self, typed: &[String]) -> Result<Vec<String>> {
+        for set in typed {
+            ensure!(
+                may_change(key_of(set)),
+                "--resume: --set {set}; accepted without the sweep's configuration: {}, and what is in {}",
+                MAY_CHANGE.join(", "),
+                TABLES.join(", ")
+            );
+        }
+        let replaced = |set: &&String| typed.iter().any(|new| key_of(new) == key_of(set));
+        Ok(self.sets.iter().filter(|set| !replaced(set)).chain(typed).cloned().collect())
+    }
+
+    /// Refuses limits below those of this sweep, which may have runs that are longer: with `typed` its runs would no longer be
+    /// equally long.
+    pub(crate) fn check_limits(&self, typed: Limits) -> Result<()> {
+        let both = [
+            ("--episodes", typed.episodes, self.limits.episodes),
+            ("--env-steps", typed.env_steps, self.limits.env_steps),
+        ];
+        for (flag, typed, before) in both {
+            if let (Some(typed), Some(before)) = (typed, before) {
+                ensure!(
+                    typed >= before,
+                    "--resume: {flag} {typed}; accepted: {before} or more, which the runs of the sweep have been given before"
+                );
+            }
+        }
+        Ok(())
     }
 
     pub(crate) fn path(out: &Path) -> PathBuf {
@@ -167,7 +214,7 @@ impl Manifest {
         Ok(())
     }
 
-    /// Whether `typed` is this sweep, but for the length of its runs, and arms and seeds that are new or not named this time.
+    /// Whether `typed` is this sweep, but for what may change, and arms and seeds that are new or not named this time.
     fn check_same(&self, typed: &Self, out: &Path) -> Result<()> {
         let refuse = |what: &str, there: &dyn std::fmt::Debug, here: &dyn std::fmt::Debug| {
             let out = out.display();
@@ -254,6 +301,17 @@ mod tests {
         let longer = Manifest { limits, ..sweep(&["b:x=2", "a:x=1"], &[1, 2, 0]) };
         longer.claim(&out, true).unwrap();
         assert_eq!(Manifest::read(&out).unwrap(), longer);
+        let said = |typed: &str| longer.sets_with(&[typed.into()]).map_err(|error| error.to_string());
+        let solved = said("run.stop_when_solved=true").unwrap();
+        assert_eq!(solved, ["learner.lr=0.001", "run.stop_when_solved=true"]);
+        let solved = Manifest { sets: solved, ..longer.clone() };
+        solved.claim(&out, true).unwrap();
+        assert_eq!(solved.sets_with(&["run.stop_when_solved = false".into()]).unwrap().len(), 2);
+        for typed in ["learner.lr=1", "supervised=1", "supervise=1", "env.hazards.kind=none"] {
+            assert!(said(typed).unwrap_err().contains("accepted without"), "{typed}");
+        }
+        let less = |episodes, env_steps| longer.check_limits(Limits { episodes, env_steps }).is_err();
+        assert_eq!([less(Some(8), None), less(Some(9), Some(1)), less(None, None)], [true, false, false]);
         let other = Manifest { source: "maze30".into(), ..sweep(&["a:x=1"], &[0]) };
         assert!(other.claim(&out, true).unwrap_err().to_string().contains("\"maze-small\" there"));
         let changed = sweep(&["a:x=9"], &[0]).claim(&out, true).unwrap_err().to_string();
