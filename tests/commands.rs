@@ -1,8 +1,9 @@
 //! `trestle config` and `trestle demo`: what they print and write can be fed back.
 
-use crate::util::{Place, available, start_under, trestle};
+use crate::util::{Place, available, newest_checkpoint, start_under, trestle};
 use std::fs;
 use trestle_actor::env::registry;
+use trestle_learner::checkpoint;
 use trestle_proto::config::{self, Environments};
 
 const LENGTH: [&str; 4] = ["--env-steps", "5000", "--seed", "3"];
@@ -23,6 +24,43 @@ fn a_shown_configuration_trains_to_the_same_weights() {
     let kept = place.run("typed").config().display().to_string();
     assert_eq!(place.train("kept", &[&[kept.as_str()], &algo[..]].concat()), typed);
     assert_eq!(trestle(&["config", "show", &file]).ok().stdout, shown.stdout);
+}
+
+/// A run by one of its files, or by what its own messages name.
+#[test]
+fn a_run_goes_by_several_names() {
+    let place = Place::new();
+    place.train("run", &["maze-small", "--env-steps", "1500", "--seed", "3"]);
+    let root = place.path("run");
+    let figures = |name: &str| trestle(&["eval", name]).ok().stdout;
+    let expected = figures(&root);
+    for name in ["last", "config.toml", "result.json", "logs"] {
+        let name = format!("{root}/{name}");
+        assert_eq!(figures(&name), expected, "{name}");
+        let out = place.path("network.onnx");
+        trestle(&["export", &name, "--format", "onnx", "--overwrite", "--out", &out]).ok();
+        trestle(&["demo", "record", &name, "--all", "--overwrite", "--out", &place.path("d.csv")]).ok();
+        trestle(&["demo", "inspect", &name]).ok();
+    }
+    let said = trestle(&["report", &format!("{root}/last")]).ok().stdout;
+    assert!(said.contains(&format!("{root}/report/report.html")), "{said}");
+    let tick = newest_checkpoint(&place.run("run")).unwrap();
+    let checkpoint = checkpoint::directory(place.run("run").root(), tick).display().to_string();
+    trestle(&["eval", &checkpoint]).refused(&["is a checkpoint", &root, &format!("--checkpoint {tick}")]);
+    // No configuration, but with one.
+    for name in [root.clone(), format!("{root}/last")] {
+        let judged = ["demo", "inspect", &place.path("d.csv"), "--config", &name];
+        for args in [&["config", "show", &name][..], &["config", "check", &name], &judged] {
+            let meant = format!("did you mean `{root}/config.toml`");
+            trestle(args).refused(&["a directory, not a file", &meant]);
+        }
+    }
+    for name in ["metrics.jsonl", "plan.bin", "command.txt", "last"] {
+        let said = trestle(&["train", &format!("{root}/{name}")]);
+        said.refused(&["is a run and no configuration", &format!("`trestle resume {root}`")]);
+    }
+    fs::remove_file(format!("{root}/config.toml")).unwrap();
+    trestle(&["resume", &root, "--episodes", "99"]).refused(&["config.toml is missing", "to put it back"]);
 }
 
 #[test]

@@ -44,7 +44,7 @@ struct Figures {
 
 pub(super) fn run(args: &Eval) -> Result<ExitCode> {
     logging::init(0, "eval", "warn");
-    let dir = RunDir::new(&args.run);
+    let dir = RunDir::new(prepare::run_at(&args.run)?);
     for aside in prepare::replaced(dir.root()) {
         say(&format!(
             "note: {} waits for the end of an --overwrite of {}",

@@ -4,6 +4,7 @@ use super::eval::{Chosen, choose};
 use super::free;
 use crate::cli::{Export, Format};
 use crate::export::{Network, file, model};
+use crate::prepare;
 use crate::status::ExitCode;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result};
@@ -13,7 +14,7 @@ use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
 pub(super) fn run(args: &Export) -> Result<ExitCode> {
     free(&args.out, args.overwrite)?;
-    let dir = RunDir::new(&args.run);
+    let dir = RunDir::new(prepare::run_at(&args.run)?);
     let experiment = read_experiment(&dir)?;
     let (layout, encoding) = trestle_qnet::network_of(&experiment)?;
     let Chosen { tick, path, weights } = choose(&dir, args.checkpoint, &layout)?;

@@ -1,6 +1,7 @@
 //! `trestle report`
 
 use crate::cli::Report as Args;
+use crate::prepare;
 use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use trestle_actor::env::{Ground, registry};
@@ -28,8 +29,9 @@ const MAX_MAZES: usize = 24;
 
 pub(super) fn run(args: &Args) -> Result<ExitCode> {
     logging::init(0, "report", "warn");
-    let (runs, mut notes) = read_runs(&args.runs, |config| registry().filled(&config.env.name))?;
-    let out = args.out.clone().unwrap_or_else(|| args.runs.join("report"));
+    let of = prepare::run_at(&args.runs)?;
+    let (runs, mut notes) = read_runs(&of, |config| registry().filled(&config.env.name))?;
+    let out = args.out.clone().unwrap_or_else(|| of.join("report"));
     let mut mazes = Vec::new();
     let tasks_found = tasks(&runs);
     let drawn = tasks_found.len() <= MAX_DRAWN;
@@ -61,7 +63,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
         notes.push(format!("{} has not run its whole length", run.path.display()));
     }
     let count = if runs.len() == 1 { "1 run".into() } else { format!("{} runs", runs.len()) };
-    let title = format!("Trestle: {count} in {}", args.runs.display());
+    let title = format!("Trestle: {count} in {}", of.display());
     let count = notes.len();
     notes.iter().for_each(|note| crate::output::say(&format!("note: {note}")));
     for (arm, warning) in arms(&tasks(&runs)).iter().filter_map(|arm| Some((arm, arm.mentor?.warning()?))) {

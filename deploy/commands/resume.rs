@@ -22,6 +22,13 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
         "{0} holds a sweep and not one run; accepted: `trestle sweep --resume --out {0}`, which goes on with all of its runs",
         root.display()
     );
+    ensure!(
+        path.exists() || !RunDir::new(&root).plan().exists(),
+        "{} is missing, which says what the run in {} is; accepted: to put it back, from a copy or from a run of the same \
+         command",
+        path.display(),
+        root.display()
+    );
     // A start writes the configuration first, and what belongs to it before the plan.
     ensure!(
         path.exists() && !prepare::is_unborn(&root),

@@ -8,6 +8,7 @@ use crate::prepare::{self, Existing};
 use crate::reference;
 use crate::status::{ExitCode, INTERRUPTED};
 use crate::supervise::{self, Ended, HeldSignals};
+use crate::sweep::manifest::Manifest;
 use anyhow::{Result, ensure};
 use std::io::{self, Write, stdout};
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ use trestle_actor::env::registry;
 use trestle_link::logging;
 use trestle_proto::config::{self, Config, Environments, Mode};
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::RunDir;
+use trestle_proto::rundir::{CONFIG_FILE, RunDir};
 use trestle_report::effect::Effect;
 
 /// Where runs go that no directory is named for.
@@ -54,12 +55,16 @@ pub(super) fn show(beside: Beside, root: &Path) -> Result<()> {
 fn named(typed: &str, existing: Existing) -> Result<(String, Option<PathBuf>)> {
     // A name without a directory is a preset's, whatever lies there.
     let preset = registry().presets().iter().any(|preset| preset.name == typed);
+    ensure!(
+        preset || !Manifest::path(Path::new(typed)).is_file(),
+        "{typed} holds a sweep and is no configuration; accepted: `trestle sweep --resume --out {typed}`, which goes on with it"
+    );
     let Some(run) = prepare::run_of(Path::new(typed)).filter(|_| !preset) else {
         return Ok((typed.into(), None));
     };
     let config = RunDir::new(&run).config();
     ensure!(
-        existing == Existing::Resume || Path::new(typed).is_file(),
+        existing == Existing::Resume || Path::new(typed).ends_with(CONFIG_FILE),
         "{typed} is a run and no configuration; accepted: `trestle resume {run}`, which goes on with it, or \
          `trestle train {} --out DIR`, which begins another one like it",
         config.display(),

@@ -2,7 +2,7 @@
 
 use crate::cli::{Beside, Watch};
 use crate::output::say;
-use crate::prepare::check_page;
+use crate::prepare::{check_page, run_at};
 use crate::status::ExitCode;
 use anyhow::{Context, Result};
 use std::net::{IpAddr, Ipv4Addr};
@@ -11,7 +11,7 @@ use trestle_watch::Server;
 
 pub(super) fn run(args: &Watch) -> Result<ExitCode> {
     check_page()?;
-    let server = Server::bind(&args.dir, args.bind, args.port)?;
+    let server = Server::bind(&run_at(&args.dir)?, args.bind, args.port)?;
     outln!("{}: {}", args.dir.display(), server.url());
     if !server.is_private() {
         say("note: everybody who can reach this machine can see the page");

@@ -10,7 +10,7 @@
 use super::aside::{discard, removed, replaced};
 use super::fence::try_lock;
 use crate::TRANSPORT;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use std::ffi::OsStr;
 use std::fs;
 use std::io::ErrorKind;
@@ -19,7 +19,8 @@ use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
 use trestle_proto::rundir::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    LAST_LINK, LOGS_DIR, MAP_FILE, PLAN_FILE, RESULT_FILE, RunDir, is_temporary,
+    EVALS_FILE, LAST_LINK, LOGS_DIR, MAP_FILE, METRICS_FILE, PLAN_FILE, RESULT_FILE, RunDir, TIMELINE_FILE,
+    is_temporary,
 };
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
@@ -47,11 +48,39 @@ pub(crate) fn nothing_saved(root: &Path) -> bool {
     empty() || is_unborn(root) || untrained()
 }
 
-/// The directory of the run that `path` names: the directory itself, its `config.toml`, its `last`, its `checkpoints`, or one
+/// The directory that `path` names as a run's, for a command that looks at its newest checkpoint: that of [`run_of`], or else `path`
+/// itself, which the caller will refuse.
+///
+/// # Errors
+/// It is one of the run's checkpoints, which need not be the newest one.
+pub(crate) fn run_at(path: &Path) -> Result<PathBuf> {
+    let Some(run) = run_of(path) else { return Ok(path.to_path_buf()) };
+    if path.parent().is_some_and(|parent| parent.ends_with(CHECKPOINTS_DIR)) {
+        let tick = path.file_name().and_then(|name| name.to_str()?.parse::<u64>().ok());
+        let how = tick.map_or_else(String::new, |tick| {
+            format!(", with --checkpoint {tick} where the command has that option")
+        });
+        bail!("{} is a checkpoint; accepted: its run, {}{how}", path.display(), run.display());
+    }
+    Ok(run)
+}
+
+/// The directory of the run that `path` names: the directory itself, one of its own files, its `last`, its `checkpoints`, or one
 /// of those.
 pub(crate) fn run_of(path: &Path) -> Option<PathBuf> {
     let is_run = |dir: &Path| dir.join(PLAN_FILE).is_file() && dir.join(CONFIG_FILE).is_file();
-    let own = [CONFIG_FILE, LAST_LINK, CHECKPOINTS_DIR];
+    let own = [
+        CONFIG_FILE,
+        LAST_LINK,
+        CHECKPOINTS_DIR,
+        PLAN_FILE,
+        COMMAND_FILE,
+        RESULT_FILE,
+        EVALS_FILE,
+        METRICS_FILE,
+        TIMELINE_FILE,
+        LOGS_DIR,
+    ];
     // As typed: `last` is a link to another place.
     let within = |path: &Path| path.file_name().is_some_and(|name| own.iter().any(|own| name == *own));
     let mut dir = path.to_path_buf();

@@ -4,6 +4,7 @@ use super::meet;
 use super::picture::Picture;
 use crate::cli::Inspect;
 use crate::commands::picture::{as_kind, kind};
+use crate::prepare;
 use anyhow::{Context, Result};
 use std::fs;
 use trestle_actor::env::{Ground, registry};
@@ -19,8 +20,9 @@ const KINDS: [&str; 3] = ["svg", "png", "pdf"];
 
 pub(super) fn run(args: &Inspect) -> Result<()> {
     let kind = args.picture.as_deref().map(|out| kind(out, &KINDS, args.overwrite)).transpose()?;
-    let dir = RunDir::new(&args.demo);
-    let (file, own) = if args.demo.is_dir() {
+    let run = prepare::run_of(&args.demo);
+    let dir = RunDir::new(run.as_ref().unwrap_or(&args.demo));
+    let (file, own) = if run.is_some() || args.demo.is_dir() {
         (dir.demonstration(), Some(dir.config().display().to_string()))
     } else {
         (args.demo.clone(), None)

@@ -4,6 +4,7 @@ use super::report;
 use crate::cli::Record;
 use crate::commands::free;
 use crate::itself;
+use crate::prepare;
 use crate::stored::read_experiment;
 use anyhow::{Context, Result, ensure};
 use trestle_actor::worker::Worker;
@@ -21,7 +22,7 @@ const FIRST_EVALUATION: u64 = u64::MAX - 1;
 pub(super) fn run(args: &Record) -> Result<()> {
     logging::init(0, "record", "warn");
     free(&args.out, args.overwrite)?;
-    let dir = RunDir::new(&args.run);
+    let dir = RunDir::new(prepare::run_at(&args.run)?);
     let experiment = read_experiment(&dir)?;
     itself::hand_over(&experiment.config.env)?;
     let (_, path) = checkpoint::newest_complete(dir.root())?
