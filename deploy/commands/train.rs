@@ -105,7 +105,10 @@ pub(super) fn go(
         itself::hand_over(&config.env)?;
     }
     let resolved = match existing {
-        Existing::Resume => prepare::resolve_run(root, &config)?,
+        Existing::Resume => match prepare::resolve_run(root, &config) {
+            Err(_) if prepare::given_up(root)? => return go(config, root, existing, remote, quiet),
+            resolved => resolved?,
+        },
         Existing::Keep | Existing::Unsaved | Existing::Overwrite => prepare::resolve(config)?,
     };
     let mode = resolved.config.run.mode;

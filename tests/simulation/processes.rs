@@ -187,17 +187,20 @@ fn command(world: &Arc<World>, scene: Scene, config: usize, there: bool) -> usiz
 }
 
 /// `trestle train`, or with `resume` what `trestle resume` does, but for what these show.
-fn train(world: &Arc<World>, config: usize, resume: bool) -> Result<i32> {
+fn train(world: &Arc<World>, number: usize, resume: bool) -> Result<i32> {
     let root = world.root.join(DISK).join("run");
     prepare::recover(&root)?;
-    let config = typed(config);
+    let config = typed(number);
     let existing = match resume {
         true if !root.exists() || prepare::nothing_saved(&root) => Existing::Unsaved,
         true => Existing::Resume,
         false => Existing::Keep,
     };
     let resolved = match existing {
-        Existing::Resume => prepare::resolve_run(&root, &config)?,
+        Existing::Resume => match prepare::resolve_run(&root, &config) {
+            Err(_) if prepare::given_up(&root)? => return train(world, number, resume),
+            resolved => resolved?,
+        },
         _ => prepare::resolve(config)?,
     };
     let mut prepared = resolved.prepare(&root, existing)?;
