@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 use trestle_actor::env::registry;
 use trestle_link::logging;
 use trestle_proto::config::{self, Config, Environments, Mode};
+use trestle_proto::run_files::CONFIG_FILE;
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{CONFIG_FILE, RunDir};
+use trestle_proto::rundir::RunDir;
 use trestle_report::effect::Effect;
 
 /// Where runs go that no directory is named for.

@@ -17,11 +17,11 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
-use trestle_proto::rundir::{
+use trestle_proto::run_files::{
     BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    EVALS_FILE, LAST_LINK, LOGS_DIR, MAP_FILE, METRICS_FILE, PLAN_FILE, RESULT_FILE, RunDir, TIMELINE_FILE,
-    is_temporary,
+    EVALS_FILE, LAST_LINK, LOGS_DIR, MAP_FILE, METRICS_FILE, PLAN_FILE, RESULT_FILE, TIMELINE_FILE,
 };
+use trestle_proto::rundir::{RunDir, is_temporary};
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
 pub(crate) fn is_unborn(root: &Path) -> bool {

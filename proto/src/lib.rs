@@ -27,6 +27,7 @@ pub mod reply;
 pub mod rng;
 pub mod round;
 pub mod row;
+pub mod run_files;
 pub mod run_result;
 pub mod rundir;
 pub mod schedule;

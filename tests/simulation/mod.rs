@@ -52,7 +52,8 @@ use std::time::Instant;
 use trestle_actor::env::registry;
 use trestle_learner::checkpoint::Manifest;
 use trestle_proto::config::{self, Config};
-use trestle_proto::rundir::{CHECKPOINTS_DIR, RunDir};
+use trestle_proto::run_files::CHECKPOINTS_DIR;
+use trestle_proto::rundir::RunDir;
 use world::{Role, World};
 
 /// The directory of the disk in a world's.

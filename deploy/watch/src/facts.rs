@@ -6,8 +6,8 @@ use serde::Serialize;
 use trestle_learner::record::Goal;
 use trestle_proto::config::{self, Config, Mode, Threshold};
 use trestle_proto::plan::RunPlan;
+use trestle_proto::run_files::{BUILD_FILE, COMMAND_FILE, CONFIG_FILE, PLAN_FILE, RESULT_FILE};
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{BUILD_FILE, COMMAND_FILE, CONFIG_FILE, PLAN_FILE, RESULT_FILE};
 
 /// Largest config.toml that is read, bytes.
 const MAX_CONFIG: u64 = 1 << 20;

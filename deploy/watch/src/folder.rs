@@ -14,8 +14,8 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::time::{Duration, Instant};
+use trestle_proto::run_files::{EVALS_FILE, LOGS_DIR, METRICS_FILE, RESULT_FILE};
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{EVALS_FILE, LOGS_DIR, METRICS_FILE, RESULT_FILE};
 
 /// Levels of directories in which runs are looked for.
 const MAX_DEPTH: usize = 4;
@@ -355,7 +355,7 @@ impl Summary {
         let locked = dir.identity().is_ok_and(|identity| locks.hold(identity));
         let stamp = |name| facts::stamp(dir, name);
         let seen = Seen {
-            config: stamp(trestle_proto::rundir::CONFIG_FILE),
+            config: stamp(trestle_proto::run_files::CONFIG_FILE),
             result: stamp(RESULT_FILE),
             evals: stamp(EVALS_FILE),
             locked,

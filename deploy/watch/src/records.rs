@@ -7,7 +7,7 @@ use serde::Deserialize;
 use std::io;
 use trestle_algorithm::agent::Counters;
 use trestle_learner::record::{Goal, Standing};
-use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE};
+use trestle_proto::run_files::{EVALS_FILE, METRICS_FILE};
 
 /// Columns of greedy evaluations.
 const EVALS: [&str; 7] = ["episode", "env_steps", "grad_steps", "wall_s", "return", "length", "success"];

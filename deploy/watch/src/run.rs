@@ -11,10 +11,10 @@ use std::io;
 use std::time::{SystemTime, UNIX_EPOCH};
 use trestle_algorithm::agent::Counters;
 use trestle_learner::record::{Limits, seconds_left};
-use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{
+use trestle_proto::run_files::{
     ACTORS_FILE, CONFIG_FILE, EVALS_FILE, LOGS_DIR, METRICS_FILE, PLAN_FILE, RESULT_FILE,
 };
+use trestle_proto::run_result::RunResult;
 
 /// Rows of each table that a page gets, at most.
 const MAX_ROWS: usize = 400;

@@ -7,7 +7,7 @@ use crate::tail::{Sink, Tail};
 use serde::Serialize;
 use serde::de::IgnoredAny;
 use std::io::{self, BufRead, BufReader, Read};
-use trestle_proto::rundir::TIMELINE_FILE;
+use trestle_proto::run_files::TIMELINE_FILE;
 
 /// Longest line that is handed on, bytes.
 const MAX_LINE: usize = 1 << 20;

@@ -9,7 +9,8 @@ use std::io::Write;
 use std::path::Path;
 use trestle_proto::regular_file;
 use trestle_proto::round::Round;
-use trestle_proto::rundir::{BEST_FILE, Durable, write_atomically};
+use trestle_proto::run_files::BEST_FILE;
+use trestle_proto::rundir::{Durable, write_atomically};
 use trestle_qnet::Layout;
 
 /// Largest file that is read, bytes: more than the largest network has.

@@ -63,7 +63,7 @@ use std::path::{Path, PathBuf};
 use trestle_proto::codec::Kind;
 use trestle_proto::regular_file;
 use trestle_proto::round::Round;
-use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
+use trestle_proto::run_files::{CHECKPOINTS_DIR, LAST_LINK};
 
 /// Longest path in the file that stands for the link, bytes.
 const MAX_PATH: u64 = 4096;

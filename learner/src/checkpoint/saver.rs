@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 use trestle_proto::round::Round;
-use trestle_proto::rundir::CHECKPOINTS_DIR;
+use trestle_proto::run_files::CHECKPOINTS_DIR;
 
 /// Takes the checkpoints of one run, one at a time.
 #[derive(Debug)]

@@ -13,7 +13,7 @@ use trestle_algorithm::replay::Span;
 use trestle_proto::observe::Part;
 use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::round::Round;
-use trestle_proto::rundir::LAST_LINK;
+use trestle_proto::run_files::LAST_LINK;
 
 /// Lets `agent` live through `ticks` ticks of the experiment's actors.
 fn live(agent: &mut Agent, world: &mut World, actors: u32, ticks: usize) {

@@ -19,7 +19,7 @@ use trestle_proto::observe::Part;
 use trestle_proto::own_file;
 use trestle_proto::plan::Life;
 use trestle_proto::round::Round;
-use trestle_proto::rundir::{CHECKPOINTS_DIR, LAST_LINK};
+use trestle_proto::run_files::{CHECKPOINTS_DIR, LAST_LINK};
 
 /// When a checkpoint is taken.
 #[derive(Clone, Copy, Debug)]

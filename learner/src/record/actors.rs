@@ -6,7 +6,8 @@ use std::fmt::Write;
 use std::io::Write as _;
 use std::path::Path;
 use trestle_proto::incarnation::Incarnation;
-use trestle_proto::rundir::{ACTORS_FILE, Durable, write_atomically};
+use trestle_proto::run_files::ACTORS_FILE;
+use trestle_proto::rundir::{Durable, write_atomically};
 
 const COLUMNS: &str = "actor,incarnation,batches,env_steps,staleness_mean,staleness_max,host";
 

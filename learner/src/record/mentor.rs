@@ -7,7 +7,8 @@ use std::io::{self as stdio, Write};
 use std::path::Path;
 use trestle_algorithm::agent::MentorRow;
 use trestle_proto::experiment::MentorPart;
-use trestle_proto::rundir::{Durable, MENTOR_FILE, write_atomically};
+use trestle_proto::run_files::MENTOR_FILE;
+use trestle_proto::rundir::{Durable, write_atomically};
 
 const COLUMNS: &str =
     "transition,demo,trajectory,step,visited,used,e_kl,a_est,r_est,feasible,bridge_len,a_feas,r_feas";

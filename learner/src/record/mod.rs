@@ -50,8 +50,9 @@ use thinning::{EPISODES, EVALUATIONS, INTERVALS, is_kept, stride};
 use trestle_algorithm::agent::Counters;
 use trestle_proto::episode::Episode;
 use trestle_proto::own_file;
+use trestle_proto::run_files::{EVALS_FILE, METRICS_FILE, RESULT_FILE};
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{EVALS_FILE, METRICS_FILE, RESULT_FILE, sync_parent};
+use trestle_proto::rundir::sync_parent;
 
 /// Time between interval rows, as a loop that has no reason for another would set it.
 pub const METRICS_EVERY: Duration = Duration::from_secs(1);

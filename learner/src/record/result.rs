@@ -3,8 +3,9 @@
 use super::error::{RecordError, io};
 use std::io::Write;
 use std::path::Path;
+use trestle_proto::run_files::RESULT_FILE;
 use trestle_proto::run_result::RunResult;
-use trestle_proto::rundir::{Durable, RESULT_FILE, write_atomically};
+use trestle_proto::rundir::{Durable, write_atomically};
 
 /// Writes `result.json` into the run directory `dir`. A reader sees the old file or the new one, never a
 /// part.

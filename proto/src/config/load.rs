@@ -7,7 +7,7 @@ use super::{Algo, Choice, Config, ConfigError, Environments, Field, SelectionRul
 use crate::limits::MAX_TEXT_BYTES;
 use crate::names;
 use crate::regular_file::{self, FileError};
-use crate::rundir::{CONFIG_FILE, PLAN_FILE};
+use crate::run_files::{CONFIG_FILE, PLAN_FILE};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
