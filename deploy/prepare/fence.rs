@@ -5,7 +5,6 @@
 //! the two: a learner that outlives its supervisor, for however short a time, keeps the directory locked.
 
 use super::aside::replaced;
-use super::states::nothing_saved;
 use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use nix::unistd::dup;
@@ -113,19 +112,6 @@ pub(crate) fn try_lock(root: &Path) -> Result<Option<File>> {
         Ok(()) | Err(TryLockError::WouldBlock) => bail!("{} is in use", root.display()),
         Err(TryLockError::Error(_)) => Ok(None),
     }
-}
-
-/// Whether another start has given the directory `root` up since the caller looked: the configuration has gone, and nothing is saved.
-/// Waits until nobody is at it.
-///
-/// # Errors
-/// As [`Fence::take`].
-pub(crate) fn given_up(root: &Path) -> Result<bool> {
-    if RunDir::new(root).config().exists() {
-        return Ok(false);
-    }
-    drop(Fence::take(root)?);
-    Ok(!root.exists() || nothing_saved(root))
 }
 
 /// Whether the open directory `dir` is the one that `root` leads to. A lock on a directory that has been moved or removed

@@ -24,7 +24,7 @@ mod states;
 
 pub(crate) use aside::{has_leftovers, replaced};
 pub(crate) use directory::{Existing, Prepared, draw, quoted};
-pub(crate) use fence::{given_up, try_lock};
+pub(crate) use fence::try_lock;
 pub(crate) use probes::{Needs, check, check_page, check_stack, findings, weaknesses};
 pub(crate) use resolve::{Resolved, resolve, resolve_run};
-pub(crate) use states::{clear_away, is_unborn, nothing_saved, recover, run_at, run_of};
+pub(crate) use states::{clear_away, given_up, is_unborn, nothing_saved, recover, run_at, run_of};

@@ -8,7 +8,7 @@
 //! - *Removed*: `.NAME.removed-PID` is what was on its way out.
 
 use super::aside::{discard, removed, replaced};
-use super::fence::try_lock;
+use super::fence::{Fence, try_lock};
 use crate::TRANSPORT;
 use anyhow::{Context, Result, bail};
 use std::ffi::OsStr;
@@ -46,6 +46,19 @@ pub(crate) fn nothing_saved(root: &Path) -> bool {
         dir.plan().is_file() && !dir.result().exists() && checkpoint::any_complete(root).is_ok_and(|any| !any)
     };
     empty() || is_unborn(root) || untrained()
+}
+
+/// Whether another start has given the directory `root` up since the caller looked: the configuration has gone, and nothing is saved.
+/// Waits until nobody is at it.
+///
+/// # Errors
+/// As [`Fence::take`].
+pub(crate) fn given_up(root: &Path) -> Result<bool> {
+    if RunDir::new(root).config().exists() {
+        return Ok(false);
+    }
+    drop(Fence::take(root)?);
+    Ok(!root.exists() || nothing_saved(root))
 }
 
 /// The directory that `path` names as a run's, for a command that looks at its newest checkpoint: that of [`run_of`], or else `path`
