@@ -171,11 +171,12 @@ fn a_run_goes_on_without_its_configuration() {
 fn where_nothing_is_saved_a_run_begins() {
     let place = Place::new();
     let straight = place.train("straight", &ARGS);
-    for name in ["empty", "half"] {
+    for name in ["empty", "half", "given-up"] {
         fs::create_dir(place.path(name)).unwrap();
     }
     place.write("half/config.toml", "");
-    for name in ["absent", "empty", "half"] {
+    fs::copy(place.run("straight").plan(), place.run("given-up").plan()).unwrap();
+    for name in ["absent", "empty", "half", "given-up"] {
         let root = place.path(name);
         let begin = format!("`trestle train CONFIG --resume --out {root}`, which begins one there");
         start(&["resume", &root]).finish().refused(&["holds no run to go on with", &begin]);

@@ -22,8 +22,9 @@ pub(super) fn run(args: &Resume) -> Result<ExitCode> {
         "{0} holds a sweep and not one run; accepted: `trestle sweep --resume --out {0}`, which goes on with all of its runs",
         root.display()
     );
+    // A start that gives the directory up removes the configuration before the plan. Then there is nothing to put back.
     ensure!(
-        path.exists() || !RunDir::new(&root).plan().exists(),
+        path.exists() || !RunDir::new(&root).plan().exists() || prepare::nothing_saved(&root),
         "{} is missing, which says what the run in {} is; accepted: to put it back, from a copy or from a run of the same \
          command",
         path.display(),
