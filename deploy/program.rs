@@ -161,11 +161,9 @@ fn known_alone(error: &mut clap::Error) {
     let command = Cli::command();
     let hidden = |name: &String| command.find_subcommand(name).is_some_and(|found| found.is_hide_set());
     let known: Vec<String> = names.iter().filter(|name| !hidden(name)).cloned().collect();
-    error.insert(
-        ContextKind::SuggestedSubcommand,
-        match known.is_empty() {
-            true => ContextValue::None,
-            false => ContextValue::Strings(known),
-        },
-    );
+    // A suggestion of nothing would be printed as well.
+    match known.is_empty() {
+        true => error.remove(ContextKind::SuggestedSubcommand),
+        false => error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(known)),
+    };
 }
