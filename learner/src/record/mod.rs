@@ -154,7 +154,7 @@ impl Recorder {
         state: RecorderState,
         counters: Counters,
     ) -> Result<Self, RecordError> {
-        // What cannot go on stays as it is, the result included.
+        // A run that cannot go on stays as it is, the result included.
         state.check(dir)?;
         forget_result(dir)?;
         let evals = Lines::resume(&dir.join(EVALS_FILE), EVALS_HEADER, state.evals_rows, Lost::Refused)?;

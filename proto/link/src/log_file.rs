@@ -1,17 +1,17 @@
-//! Logs of bounded size: a file that has grown to its limit becomes `<name>.1`, in the place of an older one, and a new one
-//! is begun. So a process keeps at most twice the limit, and always its newest lines.
+//! Logs of bounded size: the end of a file that has grown to its limit is copied to `<name>.1`, in the place of an older copy,
+//! and the file is emptied. So a process keeps at most twice the limit, and three times while it copies.
 //!
-//! A log that is being written is not renamed: an environment may write it as its standard output, or hand it on to programs
-//! that it starts, and all of these would go on with the renamed file. Its end is copied, and then it is emptied. Everybody
-//! writes at its end, wherever that is.
+//! A log is never renamed: an environment may write it as its standard output, or hand it on to programs that it starts, which
+//! may outlive it. All of these would go on with the renamed file. Each of them writes at the end of the log, wherever that is.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use trestle_proto::limits::MAX_LOG_BYTES;
 use trestle_proto::own_file;
+use trestle_proto::rundir::{Durable, write_atomically};
 
 /// Where the lines are that had no room in the log at `path` any more.
 pub fn former(path: &Path) -> PathBuf {
@@ -20,13 +20,18 @@ pub fn former(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Opens the log at `path` to add to it.
+/// Opens the log at `path` to add to it. One that has grown to its limit is emptied first, if there is room for the copy of its
+/// end.
 ///
 /// # Errors
 /// What the system says, and anything at `path` but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
     if fs::symlink_metadata(path).is_ok_and(|meta| meta.is_file() && meta.len() >= MAX_LOG_BYTES) {
-        fs::rename(path, former(path))?;
+        match empty(path) {
+            // The log cannot grow either, and is no reason to end a run.
+            Err(e) if matches!(e.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded) => {}
+            emptied => emptied?,
+        }
     }
     own_file::append(path)
 }
@@ -65,13 +70,15 @@ impl OwnLog {
 /// Room in the copy for lines that come while others are copied. Those of a process that writes faster than that are lost.
 const LATE: u64 = MAX_LOG_BYTES / 4;
 
-/// Copies the end of the log at `path` to where its former lines are, [`MAX_LOG_BYTES`] at most, and empties it.
+/// Copies the end of the log at `path` to where its former lines are, [`MAX_LOG_BYTES`] at most, and empties it. If the copy fails,
+/// the log and its older copy stay as they are.
 fn empty(path: &Path) -> io::Result<()> {
     let mut log = own_file::change(path)?;
-    let mut copy = own_file::create(&former(path))?;
     let length = log.metadata()?.len();
     log.seek(SeekFrom::Start(length.saturating_sub(MAX_LOG_BYTES - LATE)))?;
-    io::copy(&mut log.by_ref().take(MAX_LOG_BYTES), &mut copy)?;
+    write_atomically(&former(path), Durable::Later, |copy| {
+        io::copy(&mut log.by_ref().take(MAX_LOG_BYTES), copy).map(drop)
+    })?;
     log.set_len(0)
 }
 
@@ -99,7 +106,7 @@ mod tests {
         assert!(OwnLog::at(path).is_none(), "it is not this process's standard error");
     }
 
-    /// Whoever has the log open goes on writing it, and not what it was.
+    /// A process that has the log open goes on writing the log, and not its copy.
     #[test]
     fn a_log_that_others_write_is_emptied() {
         let dir = tempfile::tempdir().unwrap();
@@ -109,7 +116,10 @@ mod tests {
         for round in 0..3 {
             others[round % 2].write_all(&burst).unwrap();
             others[0].write_all(b"the end").unwrap();
-            empty(&path).unwrap();
+            match round {
+                1 => drop(open(&path).unwrap()),
+                _ => empty(&path).unwrap(),
+            }
             assert_eq!(fs::metadata(&path).unwrap().len(), 0);
             let kept = fs::read(former(&path)).unwrap();
             assert!(kept.len() as u64 == MAX_LOG_BYTES - LATE && kept.ends_with(b"xthe end"));
@@ -117,5 +127,24 @@ mod tests {
             assert_eq!(fs::read(&path).unwrap(), b"more");
         }
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn an_older_copy_stays_until_the_new_one_is_complete() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("actor-0.log");
+        fs::write(former(&path), "older").unwrap();
+        let lines = vec![b'x'; MAX_LOG_BYTES as usize];
+        fs::write(&path, &lines).unwrap();
+        // In the way of the copy that is being made.
+        let begun = dir.path().join(format!(".actor-0.log.1.{}.tmp", std::process::id()));
+        fs::create_dir(&begun).unwrap();
+        assert!(open(&path).is_err());
+        assert_eq!(fs::read(former(&path)).unwrap(), b"older");
+        assert!(fs::read(&path).unwrap() == lines);
+        fs::remove_dir(begun).unwrap();
+        open(&path).unwrap();
+        assert!(fs::read(former(&path)).unwrap() == lines[LATE as usize..]);
+        assert_eq!(fs::metadata(&path).unwrap().len(), 0);
     }
 }
