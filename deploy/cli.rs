@@ -208,7 +208,7 @@ pub(crate) enum RelayRole {
 /// A run has its configuration with it, so it need not be typed again.
 #[derive(Debug, Args)]
 pub(crate) struct Resume {
-    /// A run's directory
+    /// A run's directory, or one of the run's own files
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     #[command(flatten)]
@@ -373,7 +373,7 @@ pub(crate) struct Report {
 
 #[derive(Debug, Args)]
 pub(crate) struct Eval {
-    /// A run's directory
+    /// A run's directory, or one of the run's own files
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     /// Greedy episodes
@@ -399,7 +399,7 @@ pub(crate) struct Eval {
 
 #[derive(Debug, Args)]
 pub(crate) struct Export {
-    /// A run's directory
+    /// A run's directory, or one of the run's own files
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     /// The form of the file
@@ -516,7 +516,7 @@ fn pair(text: &str) -> Result<[usize; 2], String> {
 
 #[derive(Debug, Args)]
 pub(crate) struct Record {
-    /// A run's directory
+    /// A run's directory, or one of the run's own files
     #[arg(value_name = "RUN")]
     pub(crate) run: PathBuf,
     /// Greedy episodes to play; those that repeat an earlier one are recorded once

@@ -18,10 +18,31 @@ use std::path::{Path, PathBuf};
 use trestle_learner::checkpoint;
 use trestle_link::{Liveness, Transport};
 use trestle_proto::run_files::{
-    BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE, DEMONSTRATIONS_DIR,
-    EVALS_FILE, LAST_LINK, LOGS_DIR, MAP_FILE, METRICS_FILE, PLAN_FILE, RESULT_FILE, TIMELINE_FILE,
+    ACTORS_FILE, BEST_FILE, BUILD_FILE, CHECKPOINTS_DIR, COMMAND_FILE, CONFIG_FILE, DEMONSTRATION_FILE,
+    DEMONSTRATIONS_DIR, EVALS_FILE, HOSTS_FILE, LAST_LINK, LOGS_DIR, MAP_FILE, MENTOR_FILE, METRICS_FILE,
+    PLAN_FILE, RESULT_FILE, TIMELINE_FILE,
 };
 use trestle_proto::rundir::{RunDir, is_temporary};
+
+/// What the entries of a run's directory are called, but for those that are demonstrations.
+const OWN: [&str; 16] = [
+    CONFIG_FILE,
+    COMMAND_FILE,
+    BUILD_FILE,
+    PLAN_FILE,
+    MAP_FILE,
+    MENTOR_FILE,
+    ACTORS_FILE,
+    HOSTS_FILE,
+    EVALS_FILE,
+    METRICS_FILE,
+    TIMELINE_FILE,
+    LOGS_DIR,
+    CHECKPOINTS_DIR,
+    LAST_LINK,
+    BEST_FILE,
+    RESULT_FILE,
+];
 
 /// Whether `root` holds something, and no more than what a start leaves that was killed before the run had a plan.
 pub(crate) fn is_unborn(root: &Path) -> bool {
@@ -65,7 +86,7 @@ pub(crate) fn given_up(root: &Path) -> Result<bool> {
 /// itself, which the caller will refuse.
 ///
 /// # Errors
-/// It is one of the run's checkpoints, which need not be the newest one.
+/// It is one of the run's checkpoints, which need not be the newest one, or the weights of its best evaluation.
 pub(crate) fn run_at(path: &Path) -> Result<PathBuf> {
     let Some(run) = run_of(path) else { return Ok(path.to_path_buf()) };
     if path.parent().is_some_and(|parent| parent.ends_with(CHECKPOINTS_DIR)) {
@@ -75,6 +96,14 @@ pub(crate) fn run_at(path: &Path) -> Result<PathBuf> {
         });
         bail!("{} is a checkpoint; accepted: its run, {}{how}", path.display(), run.display());
     }
+    if path.ends_with(BEST_FILE) {
+        bail!(
+            "{} has the weights of the best evaluation; accepted: its run, {}, with --checkpoint best where the command has \
+             that option",
+            path.display(),
+            run.display()
+        );
+    }
     Ok(run)
 }
 
@@ -82,20 +111,8 @@ pub(crate) fn run_at(path: &Path) -> Result<PathBuf> {
 /// of those.
 pub(crate) fn run_of(path: &Path) -> Option<PathBuf> {
     let is_run = |dir: &Path| dir.join(PLAN_FILE).is_file() && dir.join(CONFIG_FILE).is_file();
-    let own = [
-        CONFIG_FILE,
-        LAST_LINK,
-        CHECKPOINTS_DIR,
-        PLAN_FILE,
-        COMMAND_FILE,
-        RESULT_FILE,
-        EVALS_FILE,
-        METRICS_FILE,
-        TIMELINE_FILE,
-        LOGS_DIR,
-    ];
     // As typed: `last` is a link to another place.
-    let within = |path: &Path| path.file_name().is_some_and(|name| own.iter().any(|own| name == *own));
+    let within = |path: &Path| path.file_name().is_some_and(|name| OWN.iter().any(|own| name == *own));
     let mut dir = path.to_path_buf();
     if !is_run(&dir) && !within(&dir) {
         dir = dir.parent().filter(|parent| parent.ends_with(CHECKPOINTS_DIR))?.to_path_buf();
@@ -109,7 +126,7 @@ pub(crate) fn run_of(path: &Path) -> Option<PathBuf> {
 
 /// Removes what a kill left of files that were being written into `root`.
 pub(super) fn remove_temporaries(root: &Path) -> Result<()> {
-    for dir in [root.to_path_buf(), root.join(DEMONSTRATIONS_DIR)] {
+    for dir in [root.to_path_buf(), root.join(DEMONSTRATIONS_DIR), root.join(LOGS_DIR)] {
         for entry in fs::read_dir(&dir).into_iter().flatten().flatten() {
             let temporary = entry.file_name().to_str().is_some_and(is_temporary);
             if temporary && entry.file_type().is_ok_and(|kind| !kind.is_dir()) {
@@ -271,6 +288,24 @@ mod tests {
         assert!(!nothing_saved(root));
         fs::remove_file(root.join("plan.bin")).unwrap();
         assert!(!is_unborn(root) && !is_unborn(&root.join("absent")));
+    }
+
+    #[test]
+    fn a_run_goes_by_the_names_of_its_own_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("run");
+        ["plan.bin", "config.toml"].iter().for_each(|name| write(root.join(name)));
+        for name in ["", "build.json", "map.json", "mentor.csv", "actors.csv", "hosts.csv", "logs", "last"] {
+            assert_eq!(run_of(&root.join(name)).as_ref(), Some(&root), "{name}");
+            assert_eq!(run_at(&root.join(name)).unwrap(), root, "{name}");
+        }
+        // These are files for commands of their own.
+        for name in ["demonstration.csv", "demonstrations/a.csv", "notes"] {
+            assert_eq!(run_of(&root.join(name)), None, "{name}");
+        }
+        let best = root.join("best.safetensors");
+        assert_eq!(run_of(&best).as_ref(), Some(&root));
+        assert!(run_at(&best).unwrap_err().to_string().contains("--checkpoint best"));
     }
 
     /// A kill may come between any two removals.
