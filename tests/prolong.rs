@@ -180,13 +180,38 @@ fn a_sweep_that_stopped_because_it_was_solved() {
 
     let resume =
         |more: &[&str]| start(&[&["sweep", "--resume", "--quiet", "--out", &out], more].concat()).finish();
+    let said = resume(&["--episodes", "28", "--seeds", "4"]).ok().stderr;
+    assert!(said.contains("1 run is as long as it took to solve it;"), "{said}");
     let said = resume(&["--episodes", "30"]).ok().stderr;
     assert!(said.contains("2 runs are as long as it took to solve them"), "{said}");
     assert_eq!(Trace::of(&place.run("s/dqn/seed-4")), stopped);
     resume(&["--episodes", "29"]).refused(&["--episodes 29; accepted: 30 or more"]);
     resume(&["--set", "learner.lr=0.1"]).refused(&["--set learner.lr=0.1", "run.stop_when_solved"]);
+    resume(&["--set", "run.episodes=50"]).refused(&["--set run.episodes=50; accepted", "--episodes"]);
+    for more in [["--set", "run.stop_when_solved=false"], ["--episodes", "31"]] {
+        resume(&[&more[..], &["--share", "0/2"]].concat()).refused(&["--share 0/2 with --set, --episodes"]);
+    }
     resume(&["--set", "run.stop_when_solved=false"]).ok();
     assert_eq!(Trace::of(&place.run("s/dqn/seed-4")), alone);
+}
+
+/// A setting of the whole sweep does not reach an arm that has it itself.
+#[test]
+fn an_arm_that_decides_itself_when_to_stop() {
+    let place = Place::new();
+    let out = place.path("s");
+    let arm = ["sweep", "maze-small", "--arm", "own:run.stop_when_solved=true", "--seeds", "4", "--quiet"];
+    start(&[&arm[..], &["--set", "eval.threshold=-4000", "--episodes", "25", "--out", &out]].concat())
+        .finish()
+        .ok();
+    let stopped = Trace::of(&place.run("s/own/seed-4"));
+    assert!(stopped.result.episodes < 25);
+    let resume =
+        |more: &[&str]| start(&[&["sweep", "--resume", "--quiet", "--out", &out], more].concat()).finish();
+    let said = resume(&["--episodes", "30"]).ok().stderr;
+    assert!(!said.contains("as long as it took"), "{said}");
+    resume(&["--set", "run.stop_when_solved=false"]).refused(&["which every arm sets itself"]);
+    assert_eq!(Trace::of(&place.run("s/own/seed-4")), stopped);
 }
 
 /// Without all of its evaluations a run does not go on. It is refused before anything is started, and stays as it is.

@@ -76,6 +76,7 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
         suite.write(&args.out)?;
     }
     let kinds = kinds(&arms);
+    let decided: Vec<bool> = arms.iter().map(|arm| arm.decides("run.stop_when_solved")).collect();
     let of_suite = arms.iter().any(|arm| arm.task.is_some());
     for weakness in weaknesses(&args.out) {
         crate::output::say(&format!("note: {weakness}"));
@@ -91,18 +92,24 @@ pub(super) fn run(args: &Args) -> Result<ExitCode> {
     let swept = sweep.run()?;
     if of_suite { by_group(&sweep, &swept) } else { report(&sweep, &swept) }?;
     let longer = args.limits.episodes.is_some() || args.limits.env_steps.is_some();
+    // A --set would not reach the runs of an arm that has the setting itself.
     let solved = sweep.jobs.iter().zip(&swept.outcomes).filter(|(job, outcome)| match outcome {
-        Outcome::Complete(result) => job.config.run.stop_when_solved && result.solved_episode.is_some(),
+        Outcome::Complete(result) => {
+            job.config.run.stop_when_solved && result.solved_episode.is_some() && !decided[job.arm]
+        }
         _ => false,
     });
-    match solved.count() {
-        0 => {}
-        count if args.resume && longer => crate::output::say(&format!(
-            "note: {count} runs are as long as it took to solve them; `trestle sweep --resume --out {} --set \
-             run.stop_when_solved=false` prolongs them",
+    let solved = solved.count();
+    if args.resume && longer && solved > 0 {
+        let (runs, them) = match solved {
+            1 => ("1 run is".into(), "it"),
+            _ => (format!("{solved} runs are"), "them"),
+        };
+        crate::output::say(&format!(
+            "note: {runs} as long as it took to solve {them}; `trestle sweep --resume --out {} --set \
+             run.stop_when_solved=false` prolongs {them}",
             args.out.display()
-        )),
-        _ => {}
+        ));
     }
     let failed = swept.outcomes.iter().filter(|outcome| matches!(outcome, Outcome::Failed(_))).count();
     if swept.interrupted {
@@ -164,6 +171,14 @@ fn asked(args: &Args) -> Result<Asked> {
             seeds,
             suite: None,
         });
+    }
+    if let Some(share) = args.share {
+        // A share changes nothing in sweep.json, which the other shares go by.
+        ensure!(
+            args.sets.is_empty() && args.limits == Limits::default(),
+            "--share {share} with --set, --episodes or --env-steps; accepted without the sweep's configuration: these without \
+             --share, for all runs of the sweep"
+        );
     }
     let there = Manifest::read(&args.out)?;
     there.check_limits(args.limits)?;

@@ -1,5 +1,6 @@
 //! The arms of a sweep: algorithms as they are, and settings with a name.
 
+use super::manifest::key_of;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -52,6 +53,11 @@ impl Arm {
     /// An algorithm as it is.
     pub(crate) fn plain(algo: Algo) -> Self {
         Self { name: algo.name().into(), sets: vec![format!("run.algo={:?}", algo.name())], task: None }
+    }
+
+    /// Whether the setting `key` is one of its own, which come after those of the sweep.
+    pub(crate) fn decides(&self, key: &str) -> bool {
+        self.sets.iter().any(|set| key_of(set) == key)
     }
 
     /// What can stand in --algos: the algorithms, and each rival as it is.

@@ -41,16 +41,22 @@ pub(crate) struct Manifest {
 }
 
 /// The settings that may differ when a run goes on, as `resolve_run` takes them over, and the tables of such.
-const MAY_CHANGE: [&str; 5] =
-    ["run.episodes", "run.env_steps", "run.stop_when_solved", "learner.threads", "checkpoint.keep"];
+const MAY_CHANGE: [&str; 3] = ["run.stop_when_solved", "learner.threads", "checkpoint.keep"];
 const TABLES: [&str; 2] = ["env.hazard", "supervise"];
+/// The settings that may differ, too, with the flags that come after them.
+const LIMITS: [(&str, &str); 2] = [("run.episodes", "--episodes"), ("run.env_steps", "--env-steps")];
 
 /// The key of `key=value`.
-fn key_of(set: &str) -> &str {
+pub(super) fn key_of(set: &str) -> &str {
     set.split('=').next().unwrap_or_default().trim()
 }
 
-/// Whether the setting `key` may differ when a run goes on.
+/// The flag that stands for the setting `key`, if it is a limit.
+fn limit(key: &str) -> Option<&'static str> {
+    LIMITS.into_iter().find(|(limit, _)| *limit == key).map(|(_, flag)| flag)
+}
+
+/// Whether the setting `key`, which is no limit, may differ when a run goes on.
 fn may_change(key: &str) -> bool {
     let within = |table: &str| key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'));
     MAY_CHANGE.contains(&key) || TABLES.into_iter().any(within)
@@ -91,20 +97,29 @@ impl Manifest {
 
     /// The settings but for those that may change.
     fn settings(&self) -> Vec<&String> {
-        self.sets.iter().filter(|set| !may_change(key_of(set))).collect()
+        let fixed = |set: &&String| !may_change(key_of(set)) && limit(key_of(set)).is_none();
+        self.sets.iter().filter(fixed).collect()
     }
 
     /// The settings of all arms with `typed` in the place of former ones.
     ///
     /// # Errors
-    /// One that would make other runs of them.
+    /// One that would make other runs of them, and one that something else decides: a limit, which goes by its flag, and a setting
+    /// of each arm's own.
     pub(crate) fn sets_with(&self, typed: &[String]) -> Result<Vec<String>> {
         for set in typed {
+            if let Some(flag) = limit(key_of(set)) {
+                bail!("--resume: --set {set}; accepted without the sweep's configuration: {flag}");
+            }
             ensure!(
                 may_change(key_of(set)),
                 "--resume: --set {set}; accepted without the sweep's configuration: {}, and what is in {}",
                 MAY_CHANGE.join(", "),
                 TABLES.join(", ")
+            );
+            ensure!(
+                !self.arms.iter().all(|arm| arm.decides(key_of(set))),
+                "--resume: --set {set}, which every arm sets itself; accepted: a setting that an arm leaves to the sweep"
             );
         }
         let replaced = |set: &&String| typed.iter().any(|new| key_of(new) == key_of(set));
@@ -307,6 +322,17 @@ mod tests {
         let solved = Manifest { sets: solved, ..longer.clone() };
         solved.claim(&out, true).unwrap();
         assert_eq!(solved.sets_with(&["run.stop_when_solved = false".into()]).unwrap().len(), 2);
+        for (typed, flag) in [("run.episodes=50", "--episodes"), (" run.env_steps = 5", "--env-steps")] {
+            assert!(said(typed).unwrap_err().ends_with(flag), "{typed}");
+        }
+        let own = |arms: &[&str]| sweep(arms, &[0]).sets_with(&["run.stop_when_solved=false".into()]);
+        assert!(own(&["a:run.stop_when_solved=true", "b:x=1"]).is_ok());
+        let error = own(&["a:run.stop_when_solved=true"]).unwrap_err().to_string();
+        assert!(error.contains("every arm sets itself"), "{error}");
+        // Where a whole configuration is typed, limits may be among its settings, and differ.
+        let short =
+            Manifest { sets: vec!["learner.lr=0.001".into(), "run.episodes=5".into()], ..longer.clone() };
+        short.check_same(&longer, &out).unwrap();
         for typed in ["learner.lr=1", "supervised=1", "supervise=1", "env.hazards.kind=none"] {
             assert!(said(typed).unwrap_err().contains("accepted without"), "{typed}");
         }
