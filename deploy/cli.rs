@@ -157,8 +157,9 @@ pub(crate) enum HostsCommand {
         /// The directory to write head.pem and join.pem into
         #[arg(long, value_name = "DIR", value_parser = Target)]
         out: PathBuf,
-        /// A name or an address by which other hosts reach the one that trains; may be repeated
-        #[arg(long = "name", value_name = "HOST", required = true)]
+        /// A name or an address by which other hosts reach the one that trains; may be repeated. If none is given: this
+        /// host's name and address, localhost and 127.0.0.1
+        #[arg(long = "name", value_name = "HOST")]
         names: Vec<String>,
     },
 }

@@ -54,6 +54,14 @@ impl Hosts {
         Self { place, program, cut, url: format!("tcp/127.0.0.1:{}", free_port()) }
     }
 
+    /// Hosts whose `trestle-relay` is the shell's `script`.
+    fn scripted(script: &str) -> Self {
+        let mut hosts = Self::new(0);
+        hosts.program = hosts.place.write("script", format!("#!/bin/sh\n{script}"));
+        fs::set_permissions(&hosts.program, Permissions::from_mode(0o755)).unwrap();
+        hosts
+    }
+
     fn start(&self, args: &[String]) -> Process {
         let (program, tmp) =
             (format!("TRESTLE_RELAY={}", self.program), format!("TMPDIR={}", self.tmp().display()));
@@ -148,6 +156,25 @@ fn a_network_that_is_cut_for_a_while_changes_nothing() {
     fs::remove_file(&hosts.cut).unwrap();
     hosts.ends_as(head, vec![joined], &on_one_host(&[]));
     assert_eq!(result(&dir).restarts, 0);
+}
+
+#[test]
+fn credentials_are_for_this_host_unless_names_are_given() {
+    let hosts = Hosts::scripted("echo \"$@\"");
+    let out = hosts.place.path("cred");
+    let made = |more: &[&str]| {
+        let args = [&["hosts", "credentials", "--out", &out][..], more].concat();
+        hosts.start(&args.iter().map(ToString::to_string).collect::<Vec<_>>()).finish().ok().stdout
+    };
+    let own = fs::read_to_string("/proc/sys/kernel/hostname").unwrap();
+    let text = made(&[]);
+    let (asked, said) = text.split_once('\n').unwrap();
+    let names: Vec<&str> = asked.strip_prefix(&format!("credentials {out} ")).unwrap().split(' ').collect();
+    assert!(["localhost", "127.0.0.1", own.trim()].iter().all(|name| names.contains(name)), "{names:?}");
+    assert!(said.contains(&format!("one of: {};", names.join(", "))), "{said}");
+    let text = made(&["--name", "head", "--name", "10.0.0.5"]);
+    assert!(text.starts_with(&format!("credentials {out} head 10.0.0.5\n")), "{text}");
+    assert!(text.contains("one of: head, 10.0.0.5;"), "{text}");
 }
 
 /// A run with checkpoints that is well under way, with one other host.

@@ -14,7 +14,7 @@ pub(super) fn run(args: &Join) -> Result<ExitCode> {
     carrier::check(&args.url, &args.network)?;
     let name = match &args.name {
         Some(name) => name.clone(),
-        None => own_name(),
+        None => own_name().unwrap_or_else(|| "host".into()),
     };
     ensure!(is_name(&name), "--name {name}; accepted: 1 to {MAX_NAME} letters, digits, `-`, `_` and `.`");
     let held = HeldSignals::new()?;
@@ -32,9 +32,9 @@ pub(super) fn run(args: &Join) -> Result<ExitCode> {
     }
 }
 
-/// This machine's name, as far as it is plain.
-fn own_name() -> String {
+/// This machine's name, as far as it is plain; none if nothing of it is.
+pub(super) fn own_name() -> Option<String> {
     let name = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let name: String = name.chars().filter(|&c| is_plain(c)).take(MAX_NAME).collect();
-    if name.is_empty() { "host".into() } else { name }
+    Some(name).filter(|name| !name.is_empty())
 }
