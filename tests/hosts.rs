@@ -34,6 +34,8 @@ struct Hosts {
     program: String,
     cut: PathBuf,
     url: String,
+    /// Seconds after which a silent host counts as lost.
+    silence: u32,
 }
 
 impl Hosts {
@@ -51,7 +53,7 @@ impl Hosts {
         );
         let program = place.write("carrier", script);
         fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
-        Self { place, program, cut, url: format!("tcp/127.0.0.1:{}", free_port()) }
+        Self { place, program, cut, url: format!("tcp/127.0.0.1:{}", free_port()), silence: 4 }
     }
 
     /// Hosts whose `trestle-relay` is the shell's `script`.
@@ -70,13 +72,14 @@ impl Hosts {
 
     /// A run that waits for the actors of other hosts.
     fn head(&self, args: &[&str], remote: u32) -> Process {
-        let more = ["--remote-actors", &remote.to_string(), "--listen", &self.url, "--host-silence", "4"];
+        let (remote, silence) = (remote.to_string(), self.silence.to_string());
+        let more = ["--remote-actors", &remote, "--listen", &self.url, "--host-silence", &silence];
         self.start(&self.place.training("run", &[args, &more].concat()))
     }
 
     fn join(&self, name: &str, actors: u32) -> Process {
-        let args =
-            ["join", &self.url, "--actors", &actors.to_string(), "--name", name, "--host-silence", "4"];
+        let (actors, silence) = (actors.to_string(), self.silence.to_string());
+        let args = ["join", &self.url, "--actors", &actors, "--name", name, "--host-silence", &silence];
         self.start(&args.map(String::from))
     }
 
@@ -158,6 +161,62 @@ fn a_network_that_is_cut_for_a_while_changes_nothing() {
     assert_eq!(result(&dir).restarts, 0);
 }
 
+/// What the head's supervisor has said of hosts.
+fn said(dir: &RunDir) -> String {
+    fs::read_to_string(dir.log("supervisor")).unwrap_or_default()
+}
+
+#[test]
+fn a_silent_host_is_named_before_it_is_lost_and_when_it_is_back() {
+    let mut hosts = Hosts::new(0);
+    hosts.silence = 600;
+    let mut head = hosts.head(&[&ARGS[..], &["--actors", "1"]].concat(), 2);
+    let joined = hosts.join("b", 2);
+    let dir = hosts.dir();
+    head.wait_for("training", || fs::metadata(dir.metrics()).is_ok_and(|file| file.len() > 0));
+    fs::write(&hosts.cut, "").unwrap();
+    let silent = "host b with actors 1, 2 has given no sign of life for ";
+    head.wait_for("the silence", || said(&dir).contains(silent));
+    assert!(said(&dir).contains(" s; the run waits for it, until 600 s have passed (--host-silence)"));
+    assert!(!said(&dir).contains("is back"));
+    fs::remove_file(&hosts.cut).unwrap();
+    head.wait_for("its end", || said(&dir).contains("host b with actors 1, 2 is back after "));
+    hosts.ends_as(head, vec![joined], &on_one_host(&[]));
+    assert_eq!(said(&dir).matches("no sign of life").count(), 1);
+    assert_eq!(result(&dir).restarts, 0);
+}
+
+/// A `trestle-relay` that never has a connection, and says why as Zenoh does: the same thing twice, and another one.
+const UNCONNECTED: &str = r"
+[ $1 = check ] && exit
+log() { echo 2026-11-30T20:00:0$1Z $2 zenoh::net: $3 at /home/a/zenoh.rs:1.. Retry in $1 s. >&2; }
+printf '\027\000\000\000\377\377\377\377\377\377\377\377trestle-relay 1'
+log 1 DEBUG 'Try to connect'
+log 2 WARN 'early eof from 127.0.0.1:40001'
+log 3 WARN 'early eof from 127.0.0.1:40002'
+log 4 DEBUG 'Unable to connect: no such host'
+exec cat > /dev/null
+";
+
+#[test]
+fn the_reason_why_there_is_no_connection_is_said_while_the_host_waits() {
+    let hosts = Hosts::scripted(UNCONNECTED);
+    let mut head = hosts.head(&[&ARGS[..], &["--actors", "1"]].concat(), 2);
+    let mut joined = hosts.join("b", 1);
+    let last = "trestle-relay says: Unable to connect: no such host";
+    let dir = hosts.dir();
+    head.wait_for("both reasons of the joined host", || joined.stderr_so_far().contains(last));
+    head.wait_for("both reasons", || said(&dir).contains(last));
+    assert!(joined.is_running() && head.is_running());
+    for (process, text) in [(joined, None), (head, Some(said(&dir)))] {
+        process.signal(Signal::SIGINT);
+        let outcome = process.finish().code(130);
+        let text = text.unwrap_or(outcome.stderr);
+        assert_eq!(text.matches("trestle-relay says: early eof from 127.0.0.1:40001").count(), 1, "{text}");
+        assert_eq!(text.matches("trestle-relay says: ").count(), 2, "{text}");
+    }
+}
+
 #[test]
 fn credentials_are_for_this_host_unless_names_are_given() {
     let hosts = Hosts::scripted("echo \"$@\"");
@@ -233,8 +292,7 @@ fn carrier(dir: &Path) -> u32 {
 }
 
 fn head_has_lost(dir: &RunDir) -> bool {
-    let log = fs::read_to_string(dir.log("supervisor")).unwrap_or_default();
-    log.contains("host b with actors 1, 2 has given no sign of life for 4 s")
+    said(dir).contains("host b with actors 1, 2 has given no sign of life for 4 s")
 }
 
 #[test]
@@ -364,10 +422,8 @@ fn a_host_with_another_program_is_refused_and_both_sides_say_why() {
         "its program was built from other sources (0123456789abcdef) than the run's ({BUILD}); accepted: the same program on all hosts"
     );
     assert!(matches!(&refused, Some(RelayError::Refused(reason)) if *reason == expected), "{refused:?}");
-    let said = format!("host stranger is refused: {expected}");
-    head.wait_for("the refusal", || {
-        fs::read_to_string(hosts.dir().log("supervisor")).is_ok_and(|log| log.contains(&said))
-    });
+    let refusal = format!("host stranger is refused: {expected}");
+    head.wait_for("the refusal", || said(&hosts.dir()).contains(&refusal));
     drop(wire);
     // The run waits for one that may join.
     let joined = hosts.join("b", 1);

@@ -9,6 +9,7 @@ use crate::prepare::draw;
 use crate::status::{ExitCode, LOST_HOST, LOST_PEER, TOLD};
 use crate::supervise::{FAREWELL, GRANTED, HOST};
 use anyhow::{Context, Result, ensure};
+use std::env;
 use std::fs;
 use std::io::{Write, stdout};
 use std::path::Path;
@@ -24,6 +25,9 @@ use trestle_proto::plan::{Life, RunPlan};
 use trestle_proto::regular_file;
 use trestle_proto::rundir::{Durable, RunDir, write_atomically};
 
+/// What `trestle-relay` logs on a host that joins, unless `RUST_LOG` says otherwise: Zenoh gives the reason why there is no
+/// connection at the level DEBUG.
+const FILTER: (&str, &str) = ("RUST_LOG", "warn,zenoh::net::runtime::orchestrator=debug");
 /// Largest file of a checkpoint that is sent to another host, bytes.
 const MAX_FILE: u64 = 1 << 30;
 
@@ -72,6 +76,10 @@ pub(super) fn run(args: &RelayRole) -> Result<ExitCode> {
             // Never u64::MAX, which is no peer.
             let id = draw()? >> 1;
             program.arg("connect").arg(url).arg(format!("{id:016x}")).args(carrier::options(network));
+            let (variable, filter) = FILTER;
+            if env::var_os(variable).is_none() {
+                program.env(variable, filter);
+            }
             let mut wire = Program::start(program)?;
             let options = joined::Options {
                 hello: Hello { build: BUILD.into(), name: name.clone(), actors: *actors },

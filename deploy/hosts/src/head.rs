@@ -10,6 +10,7 @@ use crate::RelayError;
 use crate::frame::{Frame, Kind};
 use crate::limits::{FAREWELL, FAREWELLS, LAST_WORDS, MAX_HOSTS, TOLD_EVERY};
 use crate::message::{self, FromHost, Grant, HELLO_KIND, Hello, Seat};
+use crate::silence::{Change, Silence};
 use crate::stream::{Counts, Stream};
 use crate::wire::Program;
 use std::cell::Cell;
@@ -61,6 +62,7 @@ struct Host {
     waiting: Option<FromHost>,
     /// When something came from it last.
     heard: Duration,
+    silence: Silence,
     /// When its counts were told last.
     told: Duration,
 }
@@ -210,7 +212,11 @@ impl Head<'_> {
                 self.receive(peer, &bytes)?;
             }
             let now = self.clock.look();
+            while let Some(trouble) = self.wire.news() {
+                self.say(&format!("trestle-relay says: {trouble}"));
+            }
             self.look_for_the_lost(now)?;
+            self.tell_of_silence(now);
             self.give_orders()?;
             busy |= self.deliver()?;
             self.tell_counts(now);
@@ -321,8 +327,17 @@ impl Head<'_> {
             if missing > 0 { format!("; {missing} more actors are waited for") } else { String::new() };
         self.say(&format!("host {name} has joined with {}{rest}", of(&actors)));
         tracing::info!(host = name, peer = format!("{peer:016x}"), ?actors, "a host has joined");
-        let host =
-            Host { name, stream, actors, given: 0, acting: None, waiting: None, heard: now, told: now };
+        let host = Host {
+            name,
+            stream,
+            actors,
+            given: 0,
+            acting: None,
+            waiting: None,
+            heard: now,
+            silence: Silence::default(),
+            told: now,
+        };
         (self.tell)(News::Host(host.row(peer, HostState::Joined)));
         self.hosts.insert(peer, host);
         self.waiting.remove(&peer);
@@ -391,6 +406,27 @@ impl Head<'_> {
                 self.lose(peer, HostState::Lost, &how)
             }
             None => Ok(()),
+        }
+    }
+
+    /// Tells people which hosts are silent, and which are back.
+    fn tell_of_silence(&mut self, now: Duration) {
+        let limit = self.options.silence.as_secs();
+        for host in self.hosts.values_mut() {
+            let Some(change) = host.silence.look(host.heard, now) else { continue };
+            let who = format!("host {} with {}", host.name, of(&host.actors));
+            let text = match change {
+                Change::Silent(time) => {
+                    let meanwhile = match self.lockstep {
+                        true => format!("the run waits for it, until {limit} s have passed"),
+                        false => format!("the run goes on, and gives it up when {limit} s have passed"),
+                    };
+                    let seconds = time.as_secs();
+                    format!("{who} has given no sign of life for {seconds} s; {meanwhile} (--host-silence)")
+                }
+                Change::Back(time) => format!("{who} is back after {} s", time.as_secs()),
+            };
+            (self.tell)(News::Words(&text));
         }
     }
 

@@ -88,6 +88,9 @@ pub fn join(
             return Ok(Answer::Told);
         }
         pulse::step();
+        while let Some(trouble) = wire.news() {
+            say(&format!("trestle-relay says: {trouble}; asking again"));
+        }
         let now = clock.look();
         if said.is_none_or(|said| now >= said + HELLO) {
             wire.send(HEAD, hello.clone());

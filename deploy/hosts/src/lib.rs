@@ -9,7 +9,8 @@
 //! - [`stream`]: messages of any size over an account, in both directions;
 //! - [`message`]: the messages that are counted;
 //! - [`head`] and [`joined`]: the relays of the two kinds of host;
-//! - [`wire`]: what carries frames, and the program that does it between hosts.
+//! - `silence`: when people are told that a host is silent;
+//! - [`wire`]: what carries frames, and the program that does it between hosts; `words`: what that program says.
 
 pub mod account;
 pub mod frame;
@@ -17,8 +18,10 @@ pub mod head;
 pub mod joined;
 pub mod limits;
 pub mod message;
+mod silence;
 pub mod stream;
 pub mod wire;
+mod words;
 
 use trestle_link::LinkError;
 use trestle_proto::codec::CodecError;

@@ -12,6 +12,8 @@ pub const BACKLOG: usize = 32 << 20;
 pub const MAX_TEXT: usize = 4096;
 /// Hosts whose refusal a head tells people of, at the most.
 pub const MAX_HOSTS: usize = 80;
+/// Troubles of `trestle-relay` that people are told of, at the most.
+pub const MAX_TROUBLES: usize = 16;
 /// Frames that may wait to be looked at, or to be sent. More are dropped, and sent again.
 pub const QUEUE: usize = 256;
 
@@ -33,6 +35,8 @@ pub const FAREWELLS: u32 = 5;
 pub const FAREWELL: Duration = Duration::from_millis(200);
 /// For how long that is done. On a slow network weights are under way before it. A relay that is told to leave has 5 s.
 pub const LAST_WORDS: Duration = Duration::from_secs(3);
+/// After how long without a sign of life people are told that a host is silent.
+pub const QUIET: Duration = Duration::from_secs(5);
 /// Seconds without a sign of life after which a host counts as lost, if nothing else is asked for.
 pub const SILENCE_S: u32 = 30;
 /// Least such seconds.

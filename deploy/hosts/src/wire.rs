@@ -2,6 +2,7 @@
 
 use crate::frame::MAX_FRAME;
 use crate::limits::QUEUE;
+use crate::words::{self, Told};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -47,6 +48,8 @@ struct Arrived {
     waker: Option<Waker>,
     failed: Option<WireError>,
     trouble: Option<String>,
+    /// Troubles of which nobody has heard yet.
+    news: VecDeque<String>,
 }
 
 /// Frames that have come, up to [`QUEUE`], for one thread that takes them and others that bring them.
@@ -143,13 +146,18 @@ impl Program {
         // Its last line says why it ended.
         let troubles = inbox.clone();
         let words = thread::spawn(move || {
-            let mut last = String::new();
+            let (mut last, mut told) = (String::new(), Told::default());
             for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
                 let line = String::from_utf8_lossy(&line[..line.len().min(MAX_LINE)]);
+                let Some(trouble) = words::trouble(&line.escape_debug().to_string()) else { continue };
                 tracing::warn!("{}", line.escape_debug());
-                troubles.lock().trouble = Some(line.escape_debug().to_string());
-                if let Some(error) = line.strip_prefix("error: ") {
-                    last = error.into();
+                let mut arrived = troubles.lock();
+                arrived.trouble = Some(trouble.clone());
+                match line.strip_prefix("error: ") {
+                    // It is told as the reason of the end.
+                    Some(error) => last = error.into(),
+                    None if told.is_new(&trouble) => arrived.news.push_back(trouble),
+                    None => {}
                 }
             }
             last
@@ -195,6 +203,12 @@ impl Program {
     /// From now on `waker` is called whenever a frame has come.
     pub fn wake_by(&mut self, waker: Waker) {
         self.inbox.wake_by(waker);
+    }
+
+    /// The next thing that went wrong of which nobody has heard yet, in the program's words. There are
+    /// [`MAX_TROUBLES`](crate::limits::MAX_TROUBLES) at the most, and each comes once.
+    pub fn news(&self) -> Option<String> {
+        self.inbox.lock().news.pop_front()
     }
 
     /// What the program has said last of something that went wrong.
