@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hosts import PORT, RELAY, TRESTLE, Hosts, end, until
+from hosts import PORT, RELAY, TRESTLE, Hosts, end, result, until
 
 TRAINING = ["train", "maze-small", "--seed", "11", "--env-steps", "3000", "--actors", "1"]
 
@@ -44,24 +44,41 @@ def refused(place):
         good &= bool(ok)
         print(f"{'ok' if ok else 'FAILED':7}{what}{'' if ok else ': ' + text[-600:]}", flush=True)
 
+    def log(name):
+        path = place / f"refused/logs/{name}.log"
+        return path.read_text(errors="replace") if path.exists() else ""
+
     try:
         other = place / "other"
         subprocess.run([RELAY, "credentials", str(other), hosts.net.address["head"]], check=True, stdout=subprocess.DEVNULL)
         head = hosts.head([*TRAINING, "--out", str(place / "refused")], 2)
         until("a head that listens", lambda: "waiting for other hosts" in hosts.text("head"), head)
-        for what, words in {
-            "a host without credentials": [hosts.url],
-            "a host with another authority's": [hosts.url, "--credentials", str(other / "join.pem")],
-            "a host that speaks plain TCP": [hosts.url.replace("tls/", "tcp/"), "--insecure"],
-        }.items():
+        # What the host says, and what the head says of it, if it hears of it at all.
+        for what, words, own, heads in (
+            ("a host without credentials", [hosts.url], "needs --credentials", None),
+            (
+                "a host with another authority's",
+                [hosts.url, "--credentials", str(other / "join.pem")],
+                "invalid peer certificate",
+                "DecryptError",
+            ),
+            (
+                "a host that speaks plain TCP",
+                [hosts.url.replace("tls/", "tcp/"), "--insecure"],
+                "early eof",
+                "InvalidContentType",
+            ),
+        ):
             (place / "b.log").unlink(missing_ok=True)
+            seen = len(log("relay")), len(hosts.text("head"))
             status = end(hosts.start("b", [TRESTLE, "join", *words, "--actors", "1", "--wait", "5"]))
             text = hosts.text("b")
-            check(what, status == 1 and ("credentials" in text or "answer" in text), text)
-            # A refusal is said on both sides.
-            if status == 1 and "answer" in text:
-                relay = (place / "refused/logs/relay.log").read_text(errors="replace")
-                check(f"{what}: the head says so, too", "WARN" in relay and "zenoh" in relay, relay)
+            check(what, status == 1 and own in text, text)
+            if heads:
+                check(f"{what}: says why at once", "trestle-relay says: " in text.partition("has not answered")[0], text)
+                logged, said = log("relay")[seen[0] :], hosts.text("head")[seen[1] :]
+                check(f"{what}: the head's log says so, too", "WARN" in logged and heads in logged, logged)
+                check(f"{what}: the head says so, too, once", said.count(heads) == 1, said)
         (place / "b.log").unlink(missing_ok=True)
         build = json.loads((place / "refused/build.json").read_text())["sources"]
         status = end(hosts.join("b", program=str(another_build(place, build))))
@@ -74,6 +91,12 @@ def refused(place):
         joined = [hosts.join(name) for name in ("b", "c")]
         check("the run goes on with those that may join", end(head) == 0, hosts.text("head"))
         check("these end with the run", [end(process) for process in joined] == [0, 0], hosts.text("b"))
+        restarts = result(place / "refused")["restarts"]
+        check("nothing was started again", restarts == 0, f"{restarts} restarts")
+        texts = {name: hosts.text(name) for name in ("head", "b", "c")}
+        texts |= {path.name: path.read_text(errors="replace") for path in (place / "refused/logs").iterdir()}
+        panics = [name for name, text in texts.items() if "panicked" in text]
+        check("no process has panicked", texts["relay.log"] and not panics, f"{panics}")
     finally:
         hosts.close()
     return good
