@@ -161,9 +161,13 @@ fn known_alone(error: &mut clap::Error) {
     let command = Cli::command();
     let hidden = |name: &String| command.find_subcommand(name).is_some_and(|found| found.is_hide_set());
     let known: Vec<String> = names.iter().filter(|name| !hidden(name)).cloned().collect();
-    // A suggestion of nothing would be printed as well.
-    match known.is_empty() {
-        true => error.remove(ContextKind::SuggestedSubcommand),
-        false => error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(known)),
-    };
+    if !known.is_empty() {
+        error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(known));
+        return;
+    }
+    // A suggestion of nothing would be printed as an empty tip, and an empty list of other tips as an empty line.
+    error.remove(ContextKind::SuggestedSubcommand);
+    if matches!(error.get(ContextKind::Suggested), Some(ContextValue::StyledStrs(tips)) if tips.is_empty()) {
+        error.remove(ContextKind::Suggested);
+    }
 }
