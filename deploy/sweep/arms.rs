@@ -1,6 +1,5 @@
 //! The arms of a sweep: algorithms as they are, and settings with a name.
 
-use super::manifest::key_of;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -48,6 +47,11 @@ const RIVALS: [(&str, Algo, RivalKind); 6] = [
     ("dqn+d-shape", Algo::Dqn, RivalKind::DShape),
     ("dqn+gaifo", Algo::Dqn, RivalKind::Gaifo),
 ];
+
+/// The key of `key=value`.
+pub(super) fn key_of(set: &str) -> &str {
+    set.split('=').next().unwrap_or_default().trim()
+}
 
 impl Arm {
     /// An algorithm as it is.

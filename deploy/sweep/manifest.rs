@@ -1,6 +1,6 @@
 //! `sweep.json`: what a sweep's directory holds, so that `--resume` never mixes it with something else.
 
-use super::arms::Arm;
+use super::arms::{Arm, key_of};
 use crate::flags::Limits;
 use crate::prepare::try_lock;
 use anyhow::{Context, Result, bail, ensure};
@@ -45,11 +45,6 @@ const MAY_CHANGE: [&str; 3] = ["run.stop_when_solved", "learner.threads", "check
 const TABLES: [&str; 2] = ["env.hazard", "supervise"];
 /// The settings that may differ, too, with the flags that come after them.
 const LIMITS: [(&str, &str); 2] = [("run.episodes", "--episodes"), ("run.env_steps", "--env-steps")];
-
-/// The key of `key=value`.
-pub(super) fn key_of(set: &str) -> &str {
-    set.split('=').next().unwrap_or_default().trim()
-}
 
 /// The flag that stands for the setting `key`, if it is a limit.
 fn limit(key: &str) -> Option<&'static str> {
