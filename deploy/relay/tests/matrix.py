@@ -2,7 +2,8 @@
 """Runs over several hosts on a bad network, while processes are killed: each must end as the same run on one host.
 
     deploy/relay/tests/matrix.py                       a few rows and the hosts that are refused, some minutes
-    deploy/relay/tests/matrix.py long                  every network, mode and fault
+    deploy/relay/tests/matrix.py long                  every network, mode and fault, over three hosts
+    deploy/relay/tests/matrix.py two                   the same over two hosts
     deploy/relay/tests/matrix.py random SEED [COUNT]   faults, networks and moments that SEED draws, 100 unless COUNT is given
     deploy/relay/tests/matrix.py NET MODE FAULT
     deploy/relay/tests/matrix.py refused               who is not let in
@@ -83,6 +84,10 @@ class Row:
         """Environment steps of the run."""
         return 3000 if self.mode != "free" else 20_000
 
+    def others(self):
+        """The actors of each host beside the head; three in all with the head's."""
+        return {"b": 2} if self.command == "two" else {"b": 1, "c": 1}
+
     def endless(self):
         """Whether the run goes on until the hosts are back, and is stopped then: in free mode it does not wait for them."""
         return self.mode == "free" and (self.cut > 0 or self.fault in AWAY)
@@ -104,16 +109,17 @@ def drawn(seed, number):
 
 
 class Play:
-    """One run over three hosts, and what is done to it."""
+    """One run over two or three hosts, and what is done to it."""
 
     def __init__(self, row, place, cred):
         self.row, self.place, self.out = row, place, place / "run"
-        self.hosts = Hosts(place, cred, silence=row.silence, seed=row.number if row.command.startswith("random") else 1)
+        seed = row.number if row.command.startswith("random") else 1
+        self.hosts = Hosts(place, cred, others=tuple(row.others()), silence=row.silence, seed=seed)
         for key, value in NETWORKS[row.net].items():
             setattr(self.hosts.net, key, value)
         own = ["--actors", "1", "--out", str(self.out)]
         self.head = self.hosts.head(row.training(own), 2)
-        self.joined = {name: self.hosts.join(name) for name in ("b", "c")}
+        self.joined = {name: self.hosts.join(name, actors) for name, actors in row.others().items()}
 
     def cut(self, lasts):
         """Cuts the network. The run does not end meanwhile."""
@@ -135,7 +141,7 @@ class Play:
             # As a whole: nobody there says farewell.
             os.killpg(b.pid, signal.SIGKILL)
             b.wait()
-            self.joined["b"] = self.hosts.join("b")
+            self.joined["b"] = self.hosts.join("b", self.row.others()["b"])
         elif fault == "head":
             os.killpg(self.head.pid, signal.SIGKILL)
             self.head.wait()
@@ -152,9 +158,9 @@ class Play:
             raise AssertionError(f"{fault} ended before it was killed")
 
     def stop_when_back(self):
-        """Waits until both hosts take part again, or still do, and interrupts the run."""
+        """Waits until all hosts take part again, or still do, and interrupts the run."""
         time.sleep(self.row.silence + 3)
-        until("both hosts", lambda: at.joined(self.out) == 2, self.head)
+        until("all hosts", lambda: at.joined(self.out) == sum(self.row.others().values()), self.head)
         time.sleep(1)
         self.signal(at.of_role(self.head, "train"), signal.SIGINT)
 
@@ -303,9 +309,10 @@ def main():
                 return 0 if refused(place) else 1
             case []:
                 rows = [Row("matrix", nth, *which) for nth, which in enumerate(SHORT)]
-            case ["long"]:
+            case ["long" | "two" as which]:
                 every = [(net, mode, fault) for net in NETWORKS for mode in MODES for fault in FAULTS]
-                rows = [Row("matrix", nth, *which) for nth, which in enumerate(every)]
+                command = "matrix" if which == "long" else "two"
+                rows = [Row(command, nth, *row) for nth, row in enumerate(every)]
             case ["random", seed, *count]:
                 rows = [drawn(seed, number) for number in range(int(count[0]) if count else 100)]
             case [net, mode, fault]:
