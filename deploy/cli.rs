@@ -301,8 +301,8 @@ pub(crate) struct Sweep {
     /// With `suite`: only tasks whose names have this form, such as mazes-one-hot/* or */rooms-*; may be repeated
     #[arg(long, value_name = "PATTERN", requires = "task_set")]
     pub(crate) tasks: Vec<String>,
-    /// Override one setting by its dotted key; may be repeated, the last one wins. With --resume alone: one of those that may
-    /// change, as `trestle resume --help` names them
+    /// Override one setting by its dotted key; may be repeated, the last one wins. With --resume alone: a setting that may change,
+    /// which `trestle resume --help` names
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) sets: Vec<String>,
     /// Algorithms, and rivals such as dqn+gaifo, each an arm of its own; with no --arm either: that of the configuration

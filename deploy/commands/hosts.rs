@@ -24,14 +24,12 @@ pub(super) fn run(command: &HostsCommand) -> Result<ExitCode> {
 /// Names by which other hosts probably reach this one, and by which it reaches itself.
 fn own_names() -> Vec<String> {
     let mut names: Vec<String> = own_name().into_iter().collect();
-    names.extend(own_address().map(|address| address.to_string()));
-    names.extend(["localhost", "127.0.0.1"].map(String::from));
-    let mut seen = Vec::new();
-    names.retain(|name| {
-        let new = !seen.contains(name);
-        seen.push(name.clone());
-        new
-    });
+    let others = own_address().map(|address| address.to_string()).into_iter();
+    for name in others.chain(["localhost", "127.0.0.1"].map(String::from)) {
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
     names
 }
 

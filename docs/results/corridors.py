@@ -8,12 +8,12 @@ A run that was not solved counts as later than all others.
 
 import csv
 import json
-import random
 import statistics
 import sys
 from pathlib import Path
 
-RESAMPLES = 2000
+from medians import ratio
+
 ARMS = ["dqn", "diiqn", "gated", "matched", "confidence"]
 # The nearest action of `irregular` to a step that it does not have, as (columns, rows); rows count downwards.
 NEAREST = {(1, 0): (1, -1), (-1, 0): (-1, 1)}
@@ -37,15 +37,6 @@ def blocked(name: str, out: Path) -> str:
     into = [(x + dx, y + dy) for (x, y), (dx, dy) in steps]
     free = [0 <= y < len(walls) and 0 <= x < len(walls[y]) and walls[y][x] != "#" for x, y in into]
     return f"{free.count(False)} of {len(free)}"
-
-
-def ratio(times: list[float], base: list[float]) -> str:
-    """The ratio of medians with its interval."""
-    draw = random.Random(1)
-    resample = lambda of: statistics.median(draw.choices(of, k=len(of)))
-    all_ = sorted(resample(times) / resample(base) for _ in range(RESAMPLES))
-    low, high = all_[RESAMPLES // 40], all_[-RESAMPLES // 40 - 1]
-    return f"{statistics.median(times) / statistics.median(base):.2f} [{low:.2f}, {high:.2f}]"
 
 
 def main() -> None:

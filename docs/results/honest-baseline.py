@@ -6,12 +6,12 @@ maze30-runs.csv. maze30-similar-runs.csv has the runs of `diiqn`, and some of th
 """
 
 import csv
-import random
 import statistics
 from pathlib import Path
 
+from medians import ratio
+
 HERE = Path(__file__).parent
-RESAMPLES = 2000
 
 
 def times(file: str, column: str) -> dict[str, list[float]]:
@@ -21,14 +21,6 @@ def times(file: str, column: str) -> dict[str, list[float]]:
         for row in csv.DictReader(rows):
             found.setdefault(row["arm"], []).append(float(row[column] or "inf"))
     return found
-
-
-def ratio(times: list[float], base: list[float]) -> str:
-    draw = random.Random(1)
-    resample = lambda of: statistics.median(draw.choices(of, k=len(of)))
-    all_ = sorted(resample(times) / resample(base) for _ in range(RESAMPLES))
-    low, high = all_[RESAMPLES // 40], all_[-RESAMPLES // 40 - 1]
-    return f"{statistics.median(times) / statistics.median(base):.2f} [{low:.2f}, {high:.2f}]"
 
 
 def same() -> str:
