@@ -9,10 +9,12 @@ use anyhow::{Context, Result};
 use nix::libc;
 use nix::sys::signal::{SigSet, Signal};
 use std::fs;
-use std::future::poll_fn;
+use std::future::{Future as _, poll_fn};
+use std::pin::Pin;
 use std::task::Poll;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{self, SignalKind};
+use tokio::time::Sleep;
 use trestle_proto::limits::REPEAT;
 
 /// The signals that ask for an end, SIGINT first.
@@ -97,6 +99,8 @@ impl Requests {
 pub(crate) struct Signals {
     /// Each, and whether it is SIGINT.
     streams: Vec<(bool, unix::Signal)>,
+    /// Asks for an end as a signal does, once.
+    deadline: Option<Pin<Box<Sleep>>>,
     requests: Requests,
 }
 
@@ -107,7 +111,13 @@ impl Signals {
             let stream = unix::signal(SignalKind::from_raw(number)).context("cannot handle signals")?;
             Ok((number == libc::SIGINT, stream))
         };
-        Ok(Self { streams: asking().map(stream).collect::<Result<_>>()?, requests: Requests::default() })
+        let streams = asking().map(stream).collect::<Result<_>>()?;
+        Ok(Self { streams, deadline: None, requests: Requests::default() })
+    }
+
+    /// The signals, or else an end in good order after `limit`.
+    pub(crate) fn within(limit: Duration) -> Result<Self> {
+        Ok(Self { deadline: Some(Box::pin(tokio::time::sleep(limit))), ..Self::new()? })
     }
 
     /// Waits for the next request.
@@ -119,7 +129,13 @@ impl Signals {
                         return Poll::Ready(*interrupt);
                     }
                 }
-                Poll::Pending
+                match self.deadline.as_mut().map(|deadline| deadline.as_mut().poll(context)) {
+                    Some(Poll::Ready(())) => {
+                        self.deadline = None;
+                        Poll::Ready(false)
+                    }
+                    _ => Poll::Pending,
+                }
             });
             let interrupt = interrupt.await;
             if let Some(request) = self.requests.after(interrupt, Instant::now()) {
@@ -136,8 +152,8 @@ impl Signals {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
-    use std::time::Duration;
 
     /// What each of these signals asks for: whether it is SIGINT, and milliseconds since the beginning.
     fn asked<const N: usize>(signals: [(bool, u64); N]) -> [Option<Request>; N] {
@@ -157,6 +173,13 @@ mod tests {
             asked([(INT, 0), (INT, 1), (INT, LATER - 1), (TERM, 2 * LATER)]),
             [stop, None, None, None]
         );
+    }
+
+    #[tokio::test]
+    async fn a_deadline_asks_for_an_end_once() {
+        let mut signals = Signals::within(Duration::ZERO).unwrap();
+        assert_eq!(signals.next().await, Request::Stop);
+        assert!(signals.deadline.is_none());
     }
 
     #[test]

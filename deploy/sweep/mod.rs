@@ -25,7 +25,7 @@ use manifest::{PROBE, run_dir};
 use progress::Progress;
 use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::task::{JoinSet, LocalSet};
 use trestle_actor::env::registry;
 use trestle_proto::config::{self, Config};
@@ -33,6 +33,8 @@ use trestle_proto::run_result::RunResult;
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
+/// How long a probe may take, from the start of its processes: a slow environment makes no more steps than come until then.
+const PROBE_TIME: Duration = Duration::from_secs(20);
 
 /// One run of a sweep.
 #[derive(Clone, Debug)]
@@ -335,11 +337,13 @@ async fn probe(job: &Job, out: &Path) -> Result<f64> {
     let mut config = job.config.clone();
     let steps = config.learner.warmup + PROBE_STEPS;
     config.run.env_steps = Some(config.run.env_steps.map_or(steps, |most| most.min(steps)));
-    let mut signals = Signals::new()?;
     let mut prepared = resolve(config)?.prepare(place.path(), Existing::Keep)?;
+    let mut signals = Signals::within(PROBE_TIME)?;
     match supervise(&mut prepared, &mut signals, &Display::quiet()).await? {
-        Ended::Complete(result) => Ok(result.env_steps as f64 / result.wall_s.max(1e-3)),
-        Ended::Interrupted(_) => anyhow::bail!("interrupted"),
+        Ended::Complete(result) | Ended::Interrupted(Some(result)) if result.env_steps > 0 => {
+            Ok(result.env_steps as f64 / result.wall_s.max(1e-3))
+        }
+        _ => anyhow::bail!("it made no step in {} s", PROBE_TIME.as_secs()),
     }
 }
 
