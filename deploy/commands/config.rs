@@ -37,6 +37,9 @@ pub(super) fn run(args: &Config) -> Result<ExitCode> {
             if let Some(threshold) = resolved.config.eval.threshold.or(resolved.spec.threshold) {
                 outln!("  threshold      {threshold:.3}");
             }
+            if spec.defines_success {
+                outln!("  success        the environment tells which episodes succeed");
+            }
             if let Some(mentors) = &resolved.mentors {
                 outln!("  demonstration  {} transitions", mentors.all.n_transitions());
             }

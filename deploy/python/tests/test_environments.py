@@ -166,6 +166,17 @@ def test_what_nothing_says_is_warned_of(trestle: Trestle) -> None:
     assert "warning" not in said
 
 
+def test_an_environment_may_tell_which_episodes_succeed(trestle: Trestle, tmp_path: Path) -> None:
+    said = check(trestle, make="envs:Told")
+    assert "  success        the environment tells which episodes succeed\n" in said and "warning" not in said
+    # DQN learns to go to the right, and the environment counts the left as success.
+    trestle("train", "gym", "--algo", "dqn", "--env-steps", 2000, "--out", "run", *sets({"env.gym.make": "envs:Told"}))
+    last = (tmp_path / "run/evals.csv").read_text().splitlines()
+    assert last[0].split(",")[4:] == ["return", "length", "success"]
+    assert float(last[-1].split(",")[4]) > 0.0 and float(last[-1].split(",")[6]) == 0.0
+    trestle("resume", "run", "--env-steps", 2400)
+
+
 def test_features_are_shown_by_number_and_name(trestle: Trestle) -> None:
     said = check(trestle, make="envs:Spaces", kwargs="{observation='dict'}")
     names = "0 a[0], 1 a[1], 2 b (of 3)"

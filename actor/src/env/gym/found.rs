@@ -32,6 +32,9 @@ pub struct Found {
     pub actions: Actions,
     /// `reward_threshold` of the environment's specification.
     pub threshold: Option<f64>,
+    /// Whether it tells which episodes succeed, by `info["is_success"]`.
+    #[serde(default)]
+    pub success: bool,
     /// How two episodes with the same seed and actions differed, if they did.
     pub difference: Option<String>,
     /// What is odd about it.
@@ -126,7 +129,7 @@ impl Found {
             best_return: None,
             threshold: self.threshold,
             goal_bonus: 0.0,
-            defines_success: false,
+            defines_success: self.success,
         }
     }
 }

@@ -13,6 +13,8 @@ pub struct Outcome {
     pub terminated: bool,
     /// As Gymnasium means it: the episode is over for another reason.
     pub truncated: bool,
+    /// The episode has succeeded so far, if the environment says so: `info["is_success"]`.
+    pub success: bool,
 }
 
 /// An environment of Gymnasium's interface.

@@ -36,7 +36,8 @@ impl Simulator for Walk {
         self.at += if action == 0 { -1.0 } else { 1.0 } + (self.drift % 3) as f32 - 1.0;
         self.at = self.at.clamp(-10.0, 10.0);
         obs[0] = self.at;
-        Ok(Outcome { reward: -self.at, terminated: self.at.abs() >= 10.0, truncated: false })
+        let over = self.at.abs() >= 10.0;
+        Ok(Outcome { reward: -self.at, terminated: over, truncated: false, success: over && self.at < 0.0 })
     }
 }
 
@@ -72,6 +73,25 @@ fn the_step_limit_cuts_an_episode_off() {
     env.reset(&mut stream(1, Purpose::Environment, 0), &mut obs).unwrap();
     let steps = [0, 1].map(|action| env.step(action, &mut obs).unwrap().truncated);
     assert_eq!(steps, [false, true]);
+}
+
+#[test]
+fn success_counts_where_the_environment_was_found_to_tell_it() {
+    let mut settings = walk(&[]);
+    let found = settings.own["found"].as_str().unwrap().trim_end().strip_suffix('}').unwrap().to_string();
+    for (tells, ends) in [(false, [false, false]), (true, [true, false])] {
+        settings.own.insert("found".into(), format!("{found},\"success\":{tells}}}").into());
+        let mut env = Registry::builtin().build(&settings).unwrap();
+        assert_eq!(env.spec().defines_success, tells);
+        let mut obs = [0.0];
+        let succeeded = [0, 1].map(|action| {
+            env.reset(&mut stream(1, Purpose::Environment, 0), &mut obs).unwrap();
+            let steps = std::iter::from_fn(|| Some(env.step(action, &mut obs).unwrap()));
+            let last = steps.take(200).find(|step| step.terminated).unwrap();
+            last.success
+        });
+        assert_eq!(succeeded, ends, "left and right");
+    }
 }
 
 #[test]

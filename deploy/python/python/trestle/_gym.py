@@ -360,11 +360,14 @@ def frame(env: gymnasium.Env[Any, Any]) -> tuple[int, int, bytes] | None:
 
 def _episode(
     env: gymnasium.Env[Any, Any], flat: Callable[[Any], list[float]], values: list[Any], seed: int, steps: int, name: str
-) -> Iterator[tuple[list[float], float, bool]]:
-    """Features, rewards and ends of an episode with random actions that depend on ``seed`` alone. ``name`` is for messages."""
+) -> Iterator[tuple[list[float], float, bool, bool | None]]:
+    """Features, rewards, ends and successes of an episode with random actions that depend on ``seed`` alone.
+
+    Success is None where the environment does not tell. ``name`` is for messages.
+    """
     choice = np.random.Generator(np.random.PCG64(seed))
     obs, _ = _pair(env.reset(seed=seed), name)
-    yield flat(obs), 0.0, False
+    yield flat(obs), 0.0, False, None
     for _ in range(steps):
         action = values[choice.integers(len(values))]
         answer = env.step(action.copy() if isinstance(action, np.ndarray) else action)
@@ -374,13 +377,14 @@ def _episode(
                 + (f" of {len(answer)}" if isinstance(answer, tuple) else "")
                 + "; accepted: (observation, reward, terminated, truncated, info)"
             )
-        obs, reward, terminated, truncated, _ = answer
+        obs, reward, terminated, truncated, info = answer
         try:
             reward = float(reward)
         except (TypeError, ValueError) as error:
             raise Refused(f"{name}: a reward is {reward!r} ({type(reward).__name__}); accepted: a number") from error
         over = bool(terminated) or bool(truncated)
-        yield flat(obs), reward, over
+        success = info.get("is_success") if isinstance(info, dict) else None
+        yield flat(obs), reward, over, None if success is None else bool(success)
         if over:
             return
 
@@ -394,7 +398,8 @@ def _pair(answer: Any, name: str) -> tuple[Any, Any]:
 def _difference(first: list[Any], second: list[Any], when: str) -> str | None:
     for step, (one, other) in enumerate(zip(first, second)):
         if one != other:
-            what = "observation" if one[0] != other[0] else "reward" if one[1] != other[1] else "end of the episode"
+            names = ["observation", "reward", "end of the episode", "success"]
+            what = next(name for name, a, b in zip(names, one, other) if a != b)
             return f"with the same seed and actions the {what} after {step} steps differs {when}"
     return f"with the same seed and actions the episode's length differs {when}" if len(first) != len(second) else None
 
@@ -434,7 +439,7 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
     first = list(_episode(env, flat, values, seed, compared, name))
     list(_episode(env, flat, values, (seed + 1) % 2**31, 10, name))
     difference = _difference(first, list(_episode(env, flat, values, seed, compared, name)), "from one episode to the other")
-    seen = _warm_up(env, flat, values, seed, settings["warmup_steps"], step_limit, name)
+    seen, told = _warm_up(env, flat, values, seed, settings["warmup_steps"], step_limit, name)
     spec = getattr(env, "spec", None)
     threshold = getattr(spec, "reward_threshold", None)
     env.close()
@@ -472,6 +477,7 @@ def find(settings: Settings, *, seed: int, step_limit: int) -> dict[str, Any]:
         },
         "actions": actions,
         "threshold": None if threshold is None else float(threshold),
+        "success": told or _tells(first),
         "difference": difference,
         "warnings": warnings,
     }
@@ -485,16 +491,23 @@ def _warm_up(
     steps: int,
     step_limit: int,
     name: str,
-) -> list[np.ndarray[Any, Any]]:
-    """Episodes of random steps, ``[steps + 1][features]`` each, of ``steps`` steps together."""
+) -> tuple[list[np.ndarray[Any, Any]], bool]:
+    """States of random steps, ``[steps + 1][features]`` an episode, of ``steps`` steps together; and whether success was told."""
     episodes: list[np.ndarray[Any, Any]] = []
+    told = False
     while steps > 0:
         seed = (seed + 1) % 2**31
-        states = [features for features, _, _ in _episode(env, flat, values, seed, min(steps, step_limit), name)]
-        episodes.append(np.array(states))
+        episode = list(_episode(env, flat, values, seed, min(steps, step_limit), name))
+        episodes.append(np.array([features for features, *_ in episode]))
+        told |= _tells(episode)
         # An episode may be over before its first step; a warm-up of such episodes ends all the same.
-        steps -= max(len(states) - 1, 1)
-    return episodes
+        steps -= max(len(episode) - 1, 1)
+    return episodes, told
+
+
+def _tells(episode: list[tuple[list[float], float, bool, bool | None]]) -> bool:
+    """Whether the environment tells success, in ``info["is_success"]``."""
+    return any(success is not None for *_, success in episode)
 
 
 def _scales(
