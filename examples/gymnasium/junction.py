@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 import tempfile
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,9 @@ import gymnasium
 import numpy as np
 import sumo  # the package eclipse-sumo
 
-# sumo-rl looks for it when it is imported.
+# sumo-rl looks for both when it is imported.
 os.environ.setdefault("SUMO_HOME", sumo.SUMO_HOME)
+os.environ.setdefault("LIBSUMO_AS_TRACI", "1")
 
 from sumo_rl import SumoEnvironment  # noqa: E402
 from sumo_rl.environment.observations import ObservationFunction  # noqa: E402
@@ -37,19 +40,75 @@ class Lanes(ObservationFunction):
 
 
 def make(phases: str = "opposites", seconds: int = 400) -> gymnasium.Env[Any, Any]:
-    """A junction of two roads, for ``seconds``.
+    """A junction of two roads, for ``seconds``, in a process of its own.
 
     ``phases = "opposites"`` gives green to opposite arms at once, ``"incoming"`` to one arm alone. An action is the next phase, for
     five seconds; the reward is the number of standing vehicles, times -0.1.
     """
-    # The simulation reads its files when it starts, which it does anew with each episode.
-    place = tempfile.TemporaryDirectory(prefix="junction-")
-    net, routes = Path(place.name, "junction.net.xml"), Path(place.name, "junction.rou.xml")
+    return Apart(phases, seconds)
+
+
+class Apart(gymnasium.Env[Any, Any]):
+    """A junction in a process of its own: libsumo has one simulation a process, and an actor trains in one and evaluates in another."""
+
+    def __init__(self, phases: str, seconds: int) -> None:
+        """Starts the process. It ends when this side of the line is closed, whatever closes it."""
+        self.line, theirs = Pipe()
+        command = [sys.executable, __file__, str(theirs.fileno()), phases, str(seconds)]
+        self.process = subprocess.Popen(command, pass_fds=[theirs.fileno()])
+        theirs.close()
+        self.observation_space, self.action_space = self._answer()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        return self._ask("reset", {"seed": seed})
+
+    def step(self, action: Any) -> Any:
+        """Choose the next phase."""
+        return self._ask("step", {"action": int(action)})
+
+    def close(self) -> None:
+        """End the process."""
+        self.line.close()
+        self.process.wait()
+
+    def _ask(self, method: str, arguments: dict[str, Any]) -> Any:
+        self.line.send((method, arguments))
+        return self._answer()
+
+    def _answer(self) -> Any:
+        answer = self.line.recv()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def _serve(line: Connection, phases: str, seconds: int) -> None:
+    """Steps a junction for the process at the other end of ``line``, until that closes it."""
+    with tempfile.TemporaryDirectory(prefix="junction-") as place:
+        env = _junction(Path(place), phases, seconds)
+        line.send((env.observation_space, env.action_space))
+        while True:
+            try:
+                method, arguments = line.recv()
+            except EOFError:
+                break
+            try:
+                line.send(getattr(env, method)(**arguments))
+            except Exception as error:  # noqa: BLE001  (the other side raises it)
+                line.send(error)
+        env.close()
+
+
+def _junction(place: Path, phases: str, seconds: int) -> Any:
+    """The environment, with its files in ``place``: a simulation reads them when it starts, which is with each episode."""
+    net, routes = place / "junction.net.xml", place / "junction.rou.xml"
     command = [Path(sumo.SUMO_HOME, "bin", "netgenerate"), "--grid", "--grid.number=1", "--grid.attach-length=150"]
     command += ["--default.lanenumber=1", "--no-turnarounds", "--tls.set=A0", f"--tls.layout={phases}"]
     subprocess.run([*command, "-o", net], check=True, stdout=subprocess.DEVNULL)
     routes.write_text(_routes())
-    env: Any = SumoEnvironment(
+    return SumoEnvironment(
         net_file=str(net),
         route_file=str(routes),
         single_agent=True,
@@ -63,8 +122,6 @@ def make(phases: str = "opposites", seconds: int = 400) -> gymnasium.Env[Any, An
         add_per_agent_info=False,
         sumo_warnings=False,
     )
-    env.place = place
-    return env  # type: ignore[no-any-return]
 
 
 def _routes() -> str:
@@ -76,3 +133,7 @@ def _routes() -> str:
         if a != b
     ]
     return "<routes>\n" + "\n".join(flows) + "\n</routes>\n"
+
+
+if __name__ == "__main__":
+    _serve(Connection(int(sys.argv[1])), sys.argv[2], int(sys.argv[3]))
