@@ -96,8 +96,9 @@ impl Adam {
         let n = params.len();
         assert!(self.m.len() == n && self.v.len() == n && grad.len() == n, "{n} parameters");
         self.step += 1;
-        let step_size = config.lr / (1.0 - power(config.beta1, self.step));
-        let root_scale = 1.0 / (1.0 - power(config.beta2, self.step)).sqrt();
+        let [power1, power2] = powers([config.beta1, config.beta2], self.step);
+        let step_size = config.lr / (1.0 - power1);
+        let root_scale = 1.0 / (1.0 - power2).sqrt();
         let step = AdamStep {
             params,
             m: &mut self.m,
@@ -145,18 +146,18 @@ impl Work for Share<'_> {
     }
 }
 
-/// `base` to the power of `exponent` by squaring: unlike the standard library's, with the same bits
-/// everywhere.
-fn power(mut base: f64, mut exponent: u64) -> f64 {
-    let mut result = 1.0;
+/// `bases` to the power of `exponent` by squaring: unlike the standard library's, with the same bits
+/// everywhere. Both at once, and without a branch that depends on the exponent's bits.
+fn powers(mut bases: [f64; 2], mut exponent: u64) -> [f64; 2] {
+    let mut results = [1.0; 2];
     while exponent > 0 {
-        if exponent & 1 == 1 {
-            result *= base;
+        for (result, base) in results.iter_mut().zip(&mut bases) {
+            *result *= if exponent & 1 == 1 { *base } else { 1.0 };
+            *base *= *base;
         }
-        base *= base;
         exponent >>= 1;
     }
-    result
+    results
 }
 
 /// Scales `grad` down so that its Euclidean norm is at most `max_norm`, and returns the norm it had.

@@ -46,16 +46,16 @@ pub fn backward(
         grad.fill(0.0);
         return;
     }
-    ws.rows.clear();
-    ws.actions.clear();
-    ws.dq.clear();
     for term in grads_rows {
         assert!((term.row as usize) < ws.trained_rows, "row {} of {}", term.row, ws.trained_rows);
         assert!((term.action as usize) < layout.output(), "action {} of {}", term.action, layout.output());
-        ws.rows.push(term.row);
-        ws.actions.push(term.action);
-        ws.dq.push(term.dq);
     }
+    ws.rows.clear();
+    ws.rows.extend(grads_rows.iter().map(|term| term.row));
+    ws.actions.clear();
+    ws.actions.extend(grads_rows.iter().map(|term| term.action));
+    ws.dq.clear();
+    ws.dq.extend(grads_rows.iter().map(|term| term.dq));
     output_layer(layout, params, ws, grad);
     if let Some(top) = (layout.layers().len() - 1).checked_sub(1) {
         layers_from(layout, params, ws, top, None, grad);

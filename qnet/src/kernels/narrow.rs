@@ -50,20 +50,20 @@ impl NarrowProduct<'_> {
     /// All rows, in tiles whose sums fit the registers. `P` is the number of lanes for one inner index.
     #[inline(always)]
     fn all_rows<S: Vector, const P: usize>(self) {
-        let (inner, columns) = (self.inner, self.bias.len());
+        let (inner, columns, spreading) = (self.inner, self.bias.len(), S::spreading());
         let mut tiles = self.x.chunks_exact(4 * inner);
         let mut outs = self.out.chunks_exact_mut(4 * columns);
         if S::LANES == 16 {
             for (x, out) in (&mut tiles).zip(&mut outs) {
-                rows::<S, 4, 4, P>(x, self.weights, self.bias, out);
+                rows::<S, 4, 4, P>(x, self.weights, self.bias, spreading, out);
             }
             let outs = outs.into_remainder().chunks_exact_mut(columns);
             for (x, out) in tiles.remainder().chunks_exact(inner).zip(outs) {
-                rows::<S, 1, 4, P>(x, self.weights, self.bias, out);
+                rows::<S, 1, 4, P>(x, self.weights, self.bias, spreading, out);
             }
         } else {
             for (x, out) in self.x.chunks_exact(inner).zip(self.out.chunks_exact_mut(columns)) {
-                rows::<S, 1, 8, P>(x, self.weights, self.bias, out);
+                rows::<S, 1, 8, P>(x, self.weights, self.bias, spreading, out);
             }
         }
     }
@@ -75,6 +75,7 @@ fn rows<S: Vector, const R: usize, const V: usize, const P: usize>(
     x: &[f32],
     weights: &[f32],
     bias: &[f32],
+    spreading: S::Spreading,
     out: &mut [f32],
 ) {
     let (inner, columns, depth) = (x.len() / R, bias.len(), PARTIAL_SUMS / P);
@@ -83,7 +84,7 @@ fn rows<S: Vector, const R: usize, const V: usize, const P: usize>(
     let mut i = 0;
     while i < whole {
         let weights = &weights[i * columns..][..depth * columns];
-        add_block::<S, R, V, P>(lines(x, inner, i, depth), weights, columns, &mut sums);
+        add_block::<S, R, V, P>(lines(x, inner, i, depth), weights, columns, spreading, &mut sums);
         i += depth;
     }
     if whole < inner {
@@ -95,7 +96,7 @@ fn rows<S: Vector, const R: usize, const V: usize, const P: usize>(
         }
         last_weights[..rest * columns].copy_from_slice(&weights[whole * columns..]);
         let (x, weights) = (lines(last_x.as_flattened(), 16, 0, depth), &last_weights[..depth * columns]);
-        add_block::<S, R, V, P>(x, weights, columns, &mut sums);
+        add_block::<S, R, V, P>(x, weights, columns, spreading, &mut sums);
     }
     for r in 0..R {
         let mut sums = sums[r];
@@ -139,6 +140,7 @@ fn add_block<S: Vector, const R: usize, const V: usize, const P: usize>(
     x: [&[f32]; R],
     weights: &[f32],
     columns: usize,
+    spreading: S::Spreading,
     sums: &mut [[S; V]; R],
 ) {
     for v in 0..V {
@@ -150,7 +152,7 @@ fn add_block<S: Vector, const R: usize, const V: usize, const P: usize>(
             if row.len() >= S::LANES { S::load(row) } else { S::load_partial(row) }
         };
         for r in 0..R {
-            sums[r][v] = S::spread::<P>(&x[r][i..]).mul_add(w, sums[r][v]);
+            sums[r][v] = S::spread::<P>(x[r], i, spreading).mul_add(w, sums[r][v]);
         }
     }
 }

@@ -37,28 +37,38 @@ impl Op for OutputLayer<'_> {
         let width = self.width;
         let n = self.rows.len();
         assert!(self.actions.len() == n && self.dq.len() == n);
+        let full = width - width % S::LANES;
         for e in 0..n {
             let action = self.actions[e] as usize * width;
-            let hidden = self.hidden[self.rows[e] as usize * width..][..width].chunks_exact(S::LANES);
-            let mut grad = self.grad_t[action..][..width].chunks_exact_mut(S::LANES);
+            let hidden = &self.hidden[self.rows[e] as usize * width..][..width];
+            let grad = &mut self.grad_t[action..][..width];
             let dq = S::splat(self.dq[e]);
-            for (hidden, grad) in hidden.clone().zip(&mut grad) {
-                dq.mul_add(S::load(hidden), S::load(grad)).store(grad);
-            }
-            let (rest, grad) = (hidden.remainder(), grad.into_remainder());
+            let (rest, grad_rest) = (&hidden[full..], &mut grad[full..]);
             if !rest.is_empty() {
-                dq.mul_add(S::load_partial(rest), S::load_partial(grad)).store_partial(grad);
+                dq.mul_add(S::load_partial(rest), S::load_partial(grad_rest)).store_partial(grad_rest);
             }
-
-            let Some(delta) = &mut self.delta else { continue };
-            let mut delta = delta[e * width..][..width].chunks_exact_mut(S::LANES);
-            let weights = self.weights_t[action..][..width].chunks_exact(S::LANES);
-            for ((hidden, weights), delta) in hidden.clone().zip(weights.clone()).zip(&mut delta) {
-                dq.mul(S::load(weights)).gate(S::load(hidden)).store(delta);
-            }
+            let Some(delta) = &mut self.delta else {
+                for at in (0..full).step_by(S::LANES) {
+                    let grad = &mut grad[at..][..S::LANES];
+                    dq.mul_add(S::load(&hidden[at..]), S::load(grad)).store(grad);
+                }
+                continue;
+            };
+            let weights = &self.weights_t[action..][..width];
+            let delta = &mut delta[e * width..][..width];
             if !rest.is_empty() {
-                let product = dq.mul(S::load_partial(weights.remainder()));
-                product.gate(S::load_partial(rest)).store_partial(delta.into_remainder());
+                let product = dq.mul(S::load_partial(&weights[full..]));
+                product.gate(S::load_partial(rest)).store_partial(&mut delta[full..]);
+            }
+            for (((hidden, weights), grad), delta) in hidden
+                .chunks_exact(S::LANES)
+                .zip(weights.chunks_exact(S::LANES))
+                .zip(grad.chunks_exact_mut(S::LANES))
+                .zip(delta.chunks_exact_mut(S::LANES))
+            {
+                let hidden = S::load(hidden);
+                dq.mul_add(hidden, S::load(grad)).store(grad);
+                dq.mul(S::load(weights)).gate(hidden).store(delta);
             }
         }
     }

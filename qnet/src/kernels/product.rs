@@ -10,6 +10,8 @@ use super::vector::{Op, Vector};
 
 /// The left factor, seen as `rows x inner`, in tiles of `R` rows.
 pub(crate) trait Left: Copy {
+    /// Whether the loop of a full tile takes [`Vector::UNROLLED`] inner indices a turn.
+    const UNROLLED: bool;
     /// The numbers of rows `first..first + R`.
     fn tile<const R: usize>(&self, first: usize, inner: usize) -> impl LeftTile<R>;
     /// Whether all of `rows x inner` can be read.
@@ -53,6 +55,8 @@ pub(crate) struct Gathered<'a> {
 struct GatheredTile<'a, const R: usize>([&'a [f32]; R], &'a [u32]);
 
 impl Left for Gathered<'_> {
+    const UNROLLED: bool = false;
+
     #[inline(always)]
     fn tile<const R: usize>(&self, first: usize, inner: usize) -> impl LeftTile<R> {
         // All slices have one length, so one comparison a step serves them all.
@@ -83,6 +87,8 @@ impl<const R: usize> LeftTile<R> for GatheredTile<'_, R> {
 }
 
 impl Left for ByRow<'_> {
+    const UNROLLED: bool = true;
+
     #[inline(always)]
     fn tile<const R: usize>(&self, first: usize, inner: usize) -> impl LeftTile<R> {
         let mut rows: [&[f32]; R] = [&[]; R];
@@ -112,6 +118,8 @@ impl<const R: usize> LeftTile<R> for [&[f32]; R] {
 struct ColumnTile<'a>(ByColumn<'a>, usize);
 
 impl Left for ByColumn<'_> {
+    const UNROLLED: bool = false;
+
     #[inline(always)]
     fn tile<const R: usize>(&self, first: usize, _inner: usize) -> impl LeftTile<R> {
         ColumnTile(*self, first)
@@ -287,15 +295,18 @@ impl<L: Left> Product<'_, L> {
             sums.fill(start);
         }
         let left = self.left.tile::<R>(row, self.inner);
-        for i in 0..self.inner {
-            let right = registers::<S, V, PARTIAL>(&self.right[i * self.columns + column..][..width]);
-            let numbers = left.at(i);
-            for r in 0..R {
-                let x = S::splat(numbers[r]);
-                for v in 0..V {
-                    sums[r][v] = x.mul_add(right[v], sums[r][v]);
-                }
+        let turn = if L::UNROLLED && V >= S::COLUMNS { S::UNROLLED } else { 1 };
+        let mut done = 0;
+        while turn > 1 && done + turn <= self.inner {
+            for i in done..done + turn {
+                let right = &self.right[i * self.columns + column..][..width];
+                add_products::<S, R, V, PARTIAL>(left.at(i), right, &mut sums);
             }
+            done += turn;
+        }
+        for i in done..self.inner {
+            let right = &self.right[i * self.columns + column..][..width];
+            add_products::<S, R, V, PARTIAL>(left.at(i), right, &mut sums);
         }
         for r in 0..R {
             let mut finished = sums[r];
@@ -322,6 +333,22 @@ impl<L: Left> Product<'_, L> {
                     finished[v].store(&mut out[v * S::LANES..]);
                 }
             }
+        }
+    }
+}
+
+/// Adds the products of one inner index to the sums of a tile.
+#[inline(always)]
+fn add_products<S: Vector, const R: usize, const V: usize, const PARTIAL: bool>(
+    left: [f32; R],
+    right: &[f32],
+    sums: &mut [[S; V]; R],
+) {
+    let right = registers::<S, V, PARTIAL>(right);
+    for r in 0..R {
+        let x = S::splat(left[r]);
+        for v in 0..V {
+            sums[r][v] = x.mul_add(right[v], sums[r][v]);
         }
     }
 }

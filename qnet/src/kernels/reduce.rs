@@ -14,25 +14,47 @@ impl Op for ColumnSums<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Vector>(self) {
+    fn run<S: Vector>(mut self) {
         let columns = self.out.len();
         assert!(self.x.len().is_multiple_of(columns));
-        let rows = self.x.len() / columns;
+        // Several sums side by side hide the latency of each addition.
         let mut column = 0;
-        while column + S::LANES <= columns {
-            let mut sum = S::splat(0.0);
-            for row in 0..rows {
-                sum = sum.add(S::load(&self.x[row * columns + column..][..S::LANES]));
-            }
-            sum.store(&mut self.out[column..]);
+        while column + 8 * S::LANES <= columns {
+            self.strip::<S, 8>(column);
+            column += 8 * S::LANES;
+        }
+        while column + 2 * S::LANES <= columns {
+            self.strip::<S, 2>(column);
+            column += 2 * S::LANES;
+        }
+        if column + S::LANES <= columns {
+            self.strip::<S, 1>(column);
             column += S::LANES;
         }
         if column < columns {
             let mut sum = S::splat(0.0);
-            for row in 0..rows {
-                sum = sum.add(S::load_partial(&self.x[row * columns + column..(row + 1) * columns]));
+            for row in self.x.chunks_exact(columns) {
+                sum = sum.add(S::load_partial(&row[column..]));
             }
             sum.store_partial(&mut self.out[column..]);
+        }
+    }
+}
+
+impl ColumnSums<'_> {
+    /// The sums of `V` registers of columns.
+    #[inline(always)]
+    fn strip<S: Vector, const V: usize>(&mut self, column: usize) {
+        let mut sums = [S::splat(0.0); V];
+        for row in self.x.chunks_exact(self.out.len()) {
+            let row = &row[column..][..V * S::LANES];
+            for v in 0..V {
+                sums[v] = sums[v].add(S::load(&row[v * S::LANES..]));
+            }
+        }
+        let out = &mut self.out[column..][..V * S::LANES];
+        for v in 0..V {
+            sums[v].store(&mut out[v * S::LANES..]);
         }
     }
 }

@@ -37,13 +37,14 @@ impl Transpose<'_> {
         let (tall, wide) = ((rows - row).min(S::LANES), (self.columns - column).min(8));
         let corner = &self.x[row * self.columns + column..];
         let out = &mut self.out[column * rows + row..];
-        // The same code twice: where the compiler knows that a block is whole, it is far faster. The loops
-        // have a fixed number of turns for the block to stay in registers.
+        // The same code again: where the compiler knows that a block is whole, or as wide as four actions, it is far
+        // faster. The loops have a fixed number of turns for the block to stay in registers.
         if tall == S::LANES && wide == 8 {
             let block = S::columns(corner, self.columns, S::LANES, 8);
-            for (c, line) in block.iter().enumerate() {
-                line.store(&mut out[c * rows..]);
-            }
+            S::store_lines::<8>(&block, out, rows);
+        } else if tall == S::LANES && wide == 4 {
+            let block = S::columns(corner, self.columns, S::LANES, 4);
+            S::store_lines::<4>(&block, out, rows);
         } else {
             let block = S::columns(corner, self.columns, tall, wide);
             for (c, line) in block.iter().enumerate() {

@@ -11,6 +11,9 @@ pub(crate) trait Vector: Copy {
     /// Registers side by side in a full tile of a matrix product, chosen so that six rows of them fit the
     /// register file.
     const COLUMNS: usize;
+    /// Inner indices in one turn of the loop of a full tile. Branch prediction misses the end of a long loop, which is dear
+    /// where there are many small tiles.
+    const UNROLLED: usize;
 
     /// The same number in every lane.
     fn splat(x: f32) -> Self;
@@ -18,9 +21,13 @@ pub(crate) trait Vector: Copy {
     fn load(x: &[f32]) -> Self;
     /// All numbers of a slice with fewer than `LANES`; the other lanes are 0.
     fn load_partial(x: &[f32]) -> Self;
-    /// Each of the first numbers of a slice in `P` lanes side by side: lane `l` is `x[l / P]`. `P` is 4, 8
-    /// or 16.
-    fn spread<const P: usize>(x: &[f32]) -> Self;
+    /// What [`Vector::spread`] needs in registers.
+    type Spreading: Copy;
+    /// Puts it there, once for many calls.
+    fn spreading() -> Self::Spreading;
+    /// Each of some numbers of a slice, from `x[at]` on, in `P` lanes side by side: lane `l` is `x[at + l / P]`. `P` is 4, 8
+    /// or 16; `at` is a multiple of `LANES / P`, and the slice has a multiple of four numbers.
+    fn spread<const P: usize>(x: &[f32], at: usize, with: Self::Spreading) -> Self;
     /// Writes the lanes to the first `LANES` places of a slice that has at least as many.
     fn store(self, out: &mut [f32]);
     /// Writes the first lanes to a slice with fewer than `LANES` places.
@@ -47,6 +54,13 @@ pub(crate) trait Vector: Copy {
     /// of register `c` is `x[r * stride + c]`, or 0 outside the block. The compiler does not find the shuffles
     /// for it by itself.
     fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8];
+    /// Writes the first `N` of eight registers to places `stride` numbers apart.
+    #[inline(always)]
+    fn store_lines<const N: usize>(lines: &[Self; 8], out: &mut [f32], stride: usize) {
+        for (c, line) in lines.iter().enumerate().take(N) {
+            line.store(&mut out[c * stride..]);
+        }
+    }
 }
 
 /// A kernel with its arguments.
@@ -72,6 +86,7 @@ fn map(mut x: Portable, f: impl Fn(f32, usize) -> f32) -> Portable {
 impl Vector for Portable {
     const LANES: usize = 8;
     const COLUMNS: usize = 2;
+    const UNROLLED: usize = 1;
 
     #[inline(always)]
     fn splat(x: f32) -> Self {
@@ -92,9 +107,14 @@ impl Vector for Portable {
         lanes
     }
 
+    type Spreading = ();
+
     #[inline(always)]
-    fn spread<const P: usize>(x: &[f32]) -> Self {
-        map([0.0; 8], |_, lane| x[lane / P])
+    fn spreading() {}
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32], at: usize, (): ()) -> Self {
+        map([0.0; 8], |_, lane| x[at + lane / P])
     }
 
     #[inline(always)]

@@ -2,6 +2,7 @@
 #![allow(unsafe_code)]
 
 use std::arch::x86_64::*;
+use std::hint::black_box;
 
 use super::vector::{Op, Vector};
 
@@ -37,6 +38,14 @@ macro_rules! intrinsic {
 #[inline(always)]
 fn lines_of_8<const N: usize>(x: &[f32], stride: usize, rows: usize, columns: usize) -> [__m256; N] {
     let mut lines = [Avx2::splat(0.0).0; N];
+    if rows == N && columns == 8 {
+        // One comparison for all.
+        assert!(x.len() >= 8 && stride <= (x.len() - 8) / (N - 1));
+        for (r, line) in lines.iter_mut().enumerate() {
+            *line = intrinsic!(_mm256_loadu_ps(x.as_ptr().add(r * stride)));
+        }
+        return lines;
+    }
     // A fixed number of turns, so that the lines stay in registers.
     for (r, line) in lines.iter_mut().enumerate() {
         if r < rows {
@@ -78,6 +87,7 @@ fn first_of_16(n: usize) -> __mmask16 {
 impl Vector for Avx512 {
     const LANES: usize = 16;
     const COLUMNS: usize = 4;
+    const UNROLLED: usize = 1;
 
     #[inline(always)]
     fn splat(x: f32) -> Self {
@@ -96,10 +106,15 @@ impl Vector for Avx512 {
         Avx512(intrinsic!(_mm512_maskz_loadu_ps(mask, x.as_ptr())))
     }
 
+    type Spreading = ();
+
     #[inline(always)]
-    fn spread<const P: usize>(x: &[f32]) -> Self {
+    fn spreading() {}
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32], at: usize, (): ()) -> Self {
         const { assert!(P == 4 || P == 8 || P == 16) };
-        let n = 16 / P;
+        let (x, n) = (&x[at..], 16 / P);
         assert!(x.len() >= n);
         let numbers = match n {
             4 => intrinsic!(_mm_loadu_ps(x.as_ptr())),
@@ -173,6 +188,16 @@ impl Vector for Avx512 {
     }
 
     #[inline(always)]
+    fn store_lines<const N: usize>(lines: &[Self; 8], out: &mut [f32], stride: usize) {
+        const { assert!(1 < N && N <= 8) };
+        // One comparison for all.
+        assert!(out.len() >= 16 && stride <= (out.len() - 16) / (N - 1));
+        for (c, line) in lines.iter().enumerate().take(N) {
+            intrinsic!(_mm512_storeu_ps(out.as_mut_ptr().add(c * stride), line.0));
+        }
+    }
+
+    #[inline(always)]
     fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8] {
         let halves = lines_of_8::<16>(x, stride, rows, columns);
         let mut lines = [Self::splat(0.0).0; 8];
@@ -206,9 +231,30 @@ fn first_of_8(n: usize) -> __m256i {
     intrinsic!(_mm256_loadu_si256(mask.as_ptr().cast()))
 }
 
+/// The columns of a block of eight rows, `stride` numbers apart, of eight or four numbers.
+///
+/// Loads rows 0 to 3 with rows 4 to 7 behind them, four numbers of each, so that nothing is left to do across the halves.
+#[inline(always)]
+fn whole_columns(x: &[f32], stride: usize, columns: usize) -> [Avx2; 8] {
+    let mut lines = [Avx2::splat(0.0).0; 8];
+    assert!((columns == 4 || columns == 8) && x.len() >= columns && stride <= (x.len() - columns) / 7);
+    for (i, line) in lines.iter_mut().enumerate().take(columns) {
+        let at = i % 4 * stride + i / 4 * 4;
+        let (low, high) = intrinsic!((x.as_ptr().add(at), x.as_ptr().add(at + 4 * stride)));
+        *line = intrinsic!(_mm256_loadu2_m128(high, low));
+    }
+    let quads = transpose_quads!(lines, _mm256_unpacklo_ps, _mm256_unpackhi_ps, _mm256_shuffle_ps);
+    let mut found = [Avx2::splat(0.0); 8];
+    for (found, quad) in found.iter_mut().zip(quads) {
+        found.0 = quad;
+    }
+    found
+}
+
 impl Vector for Avx2 {
     const LANES: usize = 8;
     const COLUMNS: usize = 2;
+    const UNROLLED: usize = 4;
 
     #[inline(always)]
     fn splat(x: f32) -> Self {
@@ -227,16 +273,28 @@ impl Vector for Avx2 {
         Avx2(intrinsic!(_mm256_maskload_ps(x.as_ptr(), mask)))
     }
 
+    /// Numbers 0 and 1 of each half, and numbers 2 and 3, four times each.
+    type Spreading = [__m256i; 2];
+
     #[inline(always)]
-    fn spread<const P: usize>(x: &[f32]) -> Self {
+    fn spreading() -> [__m256i; 2] {
+        // Where the compiler knows the indices, it makes two shuffles of one, and one of them across the halves.
+        let [low, high]: [[i32; 8]; 2] = black_box([[0, 0, 0, 0, 1, 1, 1, 1], [2, 2, 2, 2, 3, 3, 3, 3]]);
+        let low = intrinsic!(_mm256_loadu_si256(low.as_ptr().cast()));
+        let high = intrinsic!(_mm256_loadu_si256(high.as_ptr().cast()));
+        [low, high]
+    }
+
+    #[inline(always)]
+    fn spread<const P: usize>(x: &[f32], at: usize, with: [__m256i; 2]) -> Self {
         const { assert!(P == 4 || P == 8 || P == 16) };
         if P >= 8 {
-            return Self::splat(x[0]);
+            return Self::splat(x[at]);
         }
-        assert!(x.len() >= 2);
-        let numbers = intrinsic!(_mm_castpd_ps(_mm_load_sd(x.as_ptr().cast())));
-        let index = intrinsic!(_mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1));
-        Avx2(intrinsic!(_mm256_permutevar8x32_ps(_mm256_castps128_ps256(numbers), index)))
+        // Four numbers in each half; of two of them this takes one for each half.
+        let four = &x[at / 4 * 4..][..4];
+        let both = intrinsic!(_mm256_broadcast_ps(&_mm_loadu_ps(four.as_ptr())));
+        Avx2(intrinsic!(_mm256_permutevar_ps(both, with[at % 4 / 2])))
     }
 
     #[inline(always)]
@@ -302,7 +360,20 @@ impl Vector for Avx2 {
     }
 
     #[inline(always)]
+    fn store_lines<const N: usize>(lines: &[Self; 8], out: &mut [f32], stride: usize) {
+        const { assert!(1 < N && N <= 8) };
+        // One comparison for all.
+        assert!(out.len() >= 8 && stride <= (out.len() - 8) / (N - 1));
+        for (c, line) in lines.iter().enumerate().take(N) {
+            intrinsic!(_mm256_storeu_ps(out.as_mut_ptr().add(c * stride), line.0));
+        }
+    }
+
+    #[inline(always)]
     fn columns(x: &[f32], stride: usize, rows: usize, columns: usize) -> [Self; 8] {
+        if rows == 8 && (columns == 8 || columns == 4) {
+            return whole_columns(x, stride, columns);
+        }
         let lines = lines_of_8::<8>(x, stride, rows, columns);
         let quads = transpose_quads!(lines, _mm256_unpacklo_ps, _mm256_unpackhi_ps, _mm256_shuffle_ps);
         let mut columns = [Self::splat(0.0); 8];
