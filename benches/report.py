@@ -124,7 +124,7 @@ TABLES = {
         "op": "operation", "dim": "features", "mentor": "mentor transitions", "stored": "stored", "states": "states", "ns": "ns",
         "naive_ns": "naive, ns"})),
     "tick": (["tick"], lambda tick: measured(tick, {
-        "actors": "actors", "rollout": "rollout", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio",
+        "actors": "actors", "rollout": "rollout", "placement": "placement", "us": "us", "socket_us": "Unix sockets, us", "ratio": "ratio",
         "sleeps": "sleeps", "socket_sleeps": "sleeps over sockets"})),
     "message": (["message"], lambda message: measured(message, {
         "batch": "batch", "ns": "ns a transition", "socket_ns": "Unix socket, ns", "ratio": "ratio"})),

@@ -48,6 +48,25 @@ pub(super) struct Setup {
     pub(super) free: bool,
 }
 
+/// Where the learner and its peers run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Placement {
+    /// All on one processor, so that no other one has to be woken.
+    OneProcessor,
+    /// Where the scheduler puts them, as those of a run.
+    Scheduler,
+}
+
+impl Placement {
+    /// Its name in rows.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Placement::OneProcessor => "one processor",
+            Placement::Scheduler => "scheduler",
+        }
+    }
+}
+
 /// One way to exchange messages.
 pub(super) trait Exchange {
     /// One tick: weights if `publish`, orders, batches from every actor, and the mentor-server's answer to the last one of
@@ -66,11 +85,9 @@ pub(super) struct Both {
 }
 
 impl Both {
-    /// With peers of their own. If there is one actor and one batch a tick, they and the learner take turns, and have one
-    /// processor as such processes of a run do.
-    pub(super) fn new(setup: Setup) -> Result<Self> {
-        let turns = setup.actors == 1 && setup.burst == 1;
-        let cpu = if turns { Some(OneCpu::take()?) } else { None };
+    /// With peers of their own.
+    pub(super) fn new(setup: Setup, placement: Placement) -> Result<Self> {
+        let cpu = if placement == Placement::OneProcessor { Some(OneCpu::take()?) } else { None };
         Ok(Self {
             ways: [Box::new(SharedMemory::with_own_peers(setup)?), Box::new(Sockets::new(setup)?)],
             _cpu: cpu,

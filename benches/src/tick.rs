@@ -3,7 +3,7 @@
 
 use super::Effort;
 use super::clock::median;
-use super::exchange::{Both, Setup};
+use super::exchange::{Both, Placement, Setup};
 use super::report::Row;
 use super::sleeps::Sleeps;
 use anyhow::Result;
@@ -40,31 +40,42 @@ fn pair(both: &mut Both, publish: bool, effort: Effort) -> Result<([f64; 2], [f6
     Ok((samples.map(median), [0, 1].map(|way| slept[way] / ticks[way] as f64)))
 }
 
-/// A whole tick: weights, orders, batches, the mentor-server's answers.
+/// A whole tick: weights, orders, batches, the mentor-server's answers; with all processes on one processor, and where the scheduler
+/// puts them.
 pub(super) fn tick(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for actors in [1, 2, 4, 8, 16] {
         for rollout in [1, 8, 32] {
-            let mut both = Both::new(Setup { actors, rollout, burst: 1, mentor: true, free: false })?;
-            let ([us, socket_us], [sleeps, socket_sleeps]) = pair(&mut both, true, effort)?;
-            rows.push(
-                Row::new()
-                    .with("actors", actors)
-                    .with("rollout", rollout)
-                    .measured("us", us)
-                    .measured("socket_us", socket_us)
-                    .measured("ratio", us / socket_us)
-                    .measured("sleeps", sleeps)
-                    .measured("socket_sleeps", socket_sleeps),
-            );
+            for placement in [Placement::OneProcessor, Placement::Scheduler] {
+                let setup = Setup { actors, rollout, burst: 1, mentor: true, free: false };
+                let mut both = Both::new(setup, placement)?;
+                let ([us, socket_us], [sleeps, socket_sleeps]) = pair(&mut both, true, effort)?;
+                rows.push(
+                    Row::new()
+                        .with("actors", actors)
+                        .with("rollout", rollout)
+                        .with("placement", placement.name())
+                        .measured("us", us)
+                        .measured("socket_us", socket_us)
+                        .measured("ratio", us / socket_us)
+                        .measured("sleeps", sleeps)
+                        .measured("socket_sleeps", socket_sleeps),
+                );
+            }
         }
     }
     Ok(rows)
 }
 
+/// A learner and one actor take turns, and have one processor; more actors are where the scheduler puts them.
+fn usual(actors: u32) -> Placement {
+    if actors == 1 { Placement::OneProcessor } else { Placement::Scheduler }
+}
+
 /// Microseconds of a whole tick over shared memory, with one transition of each actor.
 pub(super) fn tick_us(actors: u32, effort: Effort) -> Result<f64> {
-    let mut both = Both::new(Setup { actors, rollout: 1, burst: 1, mentor: true, free: false })?;
+    let setup = Setup { actors, rollout: 1, burst: 1, mentor: true, free: false };
+    let mut both = Both::new(setup, usual(actors))?;
     Ok(pair(&mut both, true, effort)?.0[0])
 }
 
@@ -72,8 +83,8 @@ pub(super) fn tick_us(actors: u32, effort: Effort) -> Result<f64> {
 pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for batch in [32, 256] {
-        let mut both =
-            Both::new(Setup { actors: 1, rollout: batch, burst: BURST, mentor: false, free: false })?;
+        let setup = Setup { actors: 1, rollout: batch, burst: BURST, mentor: false, free: false };
+        let mut both = Both::new(setup, Placement::Scheduler)?;
         let each = |us: f64| us * 1e3 / f64::from(batch * BURST);
         let [ns, socket_ns] = pair(&mut both, false, effort)?.0.map(each);
         rows.push(
@@ -92,8 +103,8 @@ pub(super) fn message(effort: Effort) -> Result<Vec<Row>> {
 pub(super) fn weights(effort: Effort) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for subscribers in [1, 4] {
-        let mut both =
-            Both::new(Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false, free: false })?;
+        let setup = Setup { actors: subscribers, rollout: 1, burst: 1, mentor: false, free: false };
+        let mut both = Both::new(setup, usual(subscribers))?;
         let (with, _) = pair(&mut both, true, effort)?;
         let (without, _) = pair(&mut both, false, effort)?;
         let [us, socket_us] = [0, 1].map(|way| with[way] - without[way]);

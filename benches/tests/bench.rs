@@ -105,6 +105,12 @@ fn slopes() {
 fn messages() {
     let tick = rows("tick", &["actors", "rollout", "us", "socket_us", "sleeps", "socket_sleeps"]);
     assert!(distinct(&tick, "actors") > 1 && distinct(&tick, "rollout") > 1, "{tick:?}");
+    // Each number of actors and each rollout in both placements.
+    assert_eq!(tick.len(), 2 * distinct(&tick, "actors") * distinct(&tick, "rollout"), "{tick:?}");
+    for placement in ["one processor", "scheduler"] {
+        let rows = tick.iter().filter(|row| row["placement"] == placement).count();
+        assert_eq!(2 * rows, tick.len(), "{placement}: {tick:?}");
+    }
     let free = rows("free", &["actors", "rollout", "us_a_batch", "batches_a_round", "sleeps_a_batch"]);
     assert_eq!(distinct(&free, "actors"), 5, "{free:?}");
     rows("message", &["batch", "ns", "socket_ns"]);
