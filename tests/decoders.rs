@@ -18,8 +18,8 @@ use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_mentor_server::import::{self, Options};
 use trestle_proto::NONE;
-use trestle_proto::acting::{Acting, ActingHeader, OwnPlaces, Room};
-use trestle_proto::annotation::AnnotationTable;
+use trestle_proto::acting::{self, Acting, ActingHeader, OptionRoom, OwnPlaces, Room, Rooms};
+use trestle_proto::annotation::{AnnotationTable, Bridge};
 use trestle_proto::batch::{self, Batch, BatchHeader, Checked, KNOWN_FLAGS, Spaces};
 use trestle_proto::codec::{self, Kind};
 use trestle_proto::config::{self, Config};
@@ -62,7 +62,9 @@ fn message<H: Pod>(bytes: &[u8]) -> (H, Vec<u32>) {
 /// What actors act with, of a network of one input and two outputs.
 fn acting() -> Acting {
     let own = OwnPlaces { lengths: vec![2], places: vec![1.0, 0.5, 2.0, 0.5] };
-    Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![1, NONE], policy: vec![0.25], own }
+    let options =
+        acting::Options { of: vec![0], ends: vec![2], actions: vec![3, 1], states: vec![1.0, 0.5, 2.0, 0.5] };
+    Acting { weights: vec![0.5, -1.0, 2.0, 3.0], known: vec![1, NONE], policy: vec![0.25], options, own }
 }
 
 fn words(bytes: &[u8]) -> Vec<u32> {
@@ -87,29 +89,46 @@ fn messages(bytes: &[u8]) {
     }
     let (header, payload) = message::<ActingHeader>(bytes);
     let mut into = Acting::zeros(acting().lengths());
-    let room = Room { dim: 2, paths: 3, places: 4 };
-    if header.receive(7, &[1, 2], &payload, &room, &mut into).is_ok() {
+    let options = OptionRoom { mentor: 2, steps: 3, obs_dim: DIM, n_actions: ACTIONS };
+    let rooms = Rooms { options, own: Room { dim: 2, paths: 3, places: 4 } };
+    if header.receive(7, &[1, 2], &payload, &rooms, &mut into).is_ok() {
+        for steps in (0..2).filter_map(|j| into.options.get(j)) {
+            assert!(
+                (1..=3).contains(&steps.actions.len()) && steps.states.len() == DIM * steps.actions.len()
+            );
+            assert!(steps.actions.iter().all(|&action| (action as usize) < ACTIONS));
+            assert!(steps.states.iter().all(|x| x.is_finite()));
+        }
         let places: u32 = into.own.lengths.iter().sum();
         assert!(into.own.lengths.len() <= 3 && into.own.places.len() == 2 * places as usize);
         assert!(into.own.places.iter().all(|x| x.is_finite()));
     }
     let (answer, payload) = message::<ObserveAnswer>(bytes);
     let mut answers = Answers::default();
-    let mut table = AnnotationTable::new(MENTOR, DIM, ACTIONS);
-    let _ = answers.receive(&answer, &payload, [2, 1].into_iter(), DIM, MENTOR);
-    for answer in answers.parts() {
-        assert!(answer.mentor.iter().all(|&j| j == NONE || (j as usize) < MENTOR));
-        let _ = table.apply(&answer.changed);
+    let tables = [0, 3].map(|further| AnnotationTable::new(MENTOR, DIM, ACTIONS).keeping(further));
+    for mut table in tables {
+        let record = table.record_words();
+        let _ = answers.receive(&answer, &payload, [2, 1].into_iter(), record, MENTOR);
+        for answer in answers.parts() {
+            assert!(answer.mentor.iter().all(|&j| j == NONE || (j as usize) < MENTOR));
+            let _ = table.apply(&answer.changed);
+        }
+        let _ = table.apply(&words(bytes));
+        for j in 0..MENTOR {
+            assert!(table.estimate(j).is_none_or(|estimate| (estimate.action as usize) < ACTIONS));
+            assert!(table.bridge(j).is_none_or(|bridge| (bridge.action as usize) < ACTIONS));
+            let length = table.bridge(j).map_or(0, |bridge| bridge.length as usize);
+            assert!(table.further(j).is_none_or(|further| {
+                further.actions.len() + 1 == length
+                    && further.actions.iter().all(|&action| (action as usize) < ACTIONS)
+                    && further.states.len() == DIM * further.actions.len()
+            }));
+        }
     }
     let mut parts = &payload[..];
     while let Some(part) = Part::take(&mut parts, DIM) {
         assert_eq!(part.payload.len(), batch::words(part.count as usize, DIM));
         let _ = part.check(&spaces, &mut Vec::new());
-    }
-    let _ = table.apply(&words(bytes));
-    for j in 0..MENTOR {
-        assert!(table.estimate(j).is_none_or(|estimate| (estimate.action as usize) < ACTIONS));
-        assert!(table.bridge(j).is_none_or(|bridge| (bridge.action as usize) < ACTIONS));
     }
     let mut transitions = MentorTransitions::new(DIM);
     let _ = transitions.decode(&words(bytes));
@@ -294,6 +313,14 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let answer = ObserveAnswer::default();
     let mut table = Vec::new();
     AnnotationTable::new(MENTOR, DIM, ACTIONS).encode(2, &mut table);
+    let mut whole = AnnotationTable::new(MENTOR, DIM, ACTIONS).keeping(3);
+    let next_obs = &[1.0, 2.0];
+    let bridge =
+        Bridge { action: 1, length: 3, reward: 0.5, end_kl: 0.0, next_obs, terminated: false, ahead: 1 };
+    whole.set_bridge(2, &bridge);
+    whole.set_further(2, [(0, &next_obs[..]), (3, &[2.0, 2.0])].into_iter());
+    let mut whole_bridge = Vec::new();
+    whole.encode(2, &mut whole_bridge);
     let config = complete();
     let evaluation = Evaluation { evaluation: 3, episodes: Vec::new(), guide_return: Some(-1.0) };
     let snapshot = worker().snapshot().unwrap();
@@ -319,6 +346,7 @@ pub fn seeds() -> Vec<(&'static str, Vec<u8>)> {
         ("messages", bytes(ActingHeader::new(7, 0, 4.into(), &[1, 2], &acting), &payload)),
         ("messages", bytes(answer, &[1, NONE, 0, 2, 0])),
         ("messages", bytemuck::cast_slice(&table).to_vec()),
+        ("messages", bytemuck::cast_slice(&whole_bridge).to_vec()),
         ("frames", codec::encode(EVALUATION_KIND, &evaluation).unwrap()),
         ("frames", snapshot.clone()),
         ("frames", snapshot[24..].to_vec()),

@@ -86,6 +86,17 @@ fn guided_exploration() {
 }
 
 #[test]
+fn whole_bridges() {
+    let guided = ["--set", "exploration.guide_start=0.8", "--actors", "3", "--set", "run.rollout=7"];
+    let whole = [&guided[..], &["--set", "exploration.guide_whole=true"]].concat();
+    let newest = agree(&whole);
+    assert_eq!(newest.result.algo, "ha-diiqn+guided+whole-bridges");
+    assert_ne!(newest.weights_sha256, Place::new().train("first-steps", &with(&guided)).weights_sha256);
+    let older = agree(&[&whole[..], &["--set", "run.lag=1"]].concat());
+    assert_ne!(newest.weights_sha256, older.weights_sha256);
+}
+
+#[test]
 fn learned_bridges() {
     let trestle = ["--algo", "trestle", "--actors", "3", "--set", "run.rollout=7"];
     let newest = agree(&trestle);

@@ -227,6 +227,24 @@ fn demonstrations() {
     refused(&place, &["demo", "plan", "maze-small", "--out", &taken], &["taken.csv exists", "--overwrite"]);
 }
 
+/// Messages to actors have a largest size, which a long demonstration and long bridges exceed.
+#[test]
+fn whole_bridges_beyond_a_message() {
+    let place = Place::new();
+    let there_and_back: String = (0..22_000).map(|step| format!("0,0,1,{}\n", 1 + step % 2)).collect();
+    let demo = place.write("demo.csv", format!("trajectory,terminal,x,y\n{there_and_back}"));
+    let set = format!("mentor.demo={demo}");
+    let whole = ["--set", "exploration.guide_start=0.5", "--set", "exploration.guide_whole=true"];
+    let args =
+        [&["maze-small", "--algo", "ha-diiqn", "--set", &set, "--set", "mentor.k=64"], &whole[..]].concat();
+    let words = [
+        "exploration.guide_whole = true",
+        "64 steps for 21999 mentor transitions",
+        "accepted: up to 4194304",
+    ];
+    refused_training(&place, &args, &words);
+}
+
 #[test]
 fn directories() {
     let place = Place::new();

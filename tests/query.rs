@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 use trestle_link::iceoryx::{IceoryxClient, SharedMemory};
 use trestle_link::{ClientLink, LinkError, Transport};
-use trestle_proto::annotation::{AnnotationTable, record_words};
+use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::mentor::MentorTransitions;
 use trestle_proto::plan::RunPlan;
 use trestle_proto::query::{ANNOTATIONS, BRIDGE, QueryRequest, SIMILAR, STATS, Stats, TRANSITIONS};
@@ -61,7 +61,9 @@ impl Asker {
         assert!(stats.feasible + stats.bridged <= len && stats.bridge_len_mean >= 0.0, "{stats:?}");
 
         assert_eq!(self.ask(ANNOTATIONS, 0, len, &[])?, len);
-        let mut table = AnnotationTable::new(len as usize, 2, self.plan.experiment.spec.n_actions());
+        let experiment = &self.plan.experiment;
+        let table = AnnotationTable::new(len as usize, 2, experiment.spec.n_actions());
+        let mut table = table.keeping(experiment.further());
         table.apply(&self.answer).unwrap();
 
         let j = stats.stored as usize % transitions.len();
@@ -76,7 +78,7 @@ impl Asker {
         // What had a bridge a moment ago has one still.
         let bridged = table.bridge(j).is_some();
         let count = self.ask(BRIDGE, j as u32, 0, &state)?;
-        assert!(self.answer.len() == count as usize * record_words(2) && count <= 1);
+        assert!(self.answer.len() == count as usize * table.record_words() && count <= 1);
         assert!(count == 1 || !bridged);
         Ok(stats)
     }

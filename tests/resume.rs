@@ -107,6 +107,18 @@ fn a_guide_with_lag() {
     survives(&["--actors", "2", "--set", "run.lag=1", "--set", "exploration.guide_end=0.5"]);
 }
 
+#[test]
+fn three_actors_on_whole_bridges() {
+    survives(&[
+        "--actors",
+        "3",
+        "--set",
+        "exploration.guide_end=0.9",
+        "--set",
+        "exploration.guide_whole=true",
+    ]);
+}
+
 /// Shaping needs a demonstration, and no mentor-server.
 #[test]
 fn shaped_rewards() {

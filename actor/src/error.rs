@@ -82,7 +82,7 @@ pub enum ActorError {
         expected: usize,
     },
     /// A snapshot that is sound, but of another guide.
-    #[error("snapshot of actor {index}: its place on the mentor's path is none of this run's")]
+    #[error("snapshot of actor {index}: what its guide has under way is none of this run's")]
     Guide {
         /// The actor.
         index: u32,

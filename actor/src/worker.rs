@@ -26,7 +26,7 @@ use trestle_proto::space::{Success, reported};
 use trestle_qnet::{kernels_of, network_of};
 
 /// What the frame of an actor's state says that it is.
-pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 4 };
+pub const STATE_KIND: Kind = Kind { magic: *b"TRACTOR\0", version: 5 };
 
 /// Most features in the paths of one evaluation, 4 bytes each, so that its reply stays below
 /// [`MAX_REPLY_BYTES`].
@@ -195,8 +195,11 @@ impl Worker {
     fn reset(&mut self) -> Result<(), ActorError> {
         self.env.reset(&mut self.environment, &mut self.obs)?;
         check_numbers(self.index, Moment::Steps(self.seq), self.element, &self.obs, 0.0)?;
-        if let Some(guide) = self.guide.as_mut().filter(|_| self.guides) {
-            guide.begin(&self.obs, &mut self.explore);
+        if let Some(guide) = &mut self.guide {
+            guide.leave();
+            if self.guides {
+                guide.begin(&self.obs, &mut self.explore);
+            }
         }
         Ok(())
     }
@@ -252,14 +255,14 @@ impl Worker {
             let (obs, rng) = (&self.obs, &mut self.explore);
             let action = match self.guide.as_mut().filter(|_| self.guides) {
                 None => self.policy.act(weights, obs, epsilon, rng),
-                Some(guide) => {
+                Some(guide) => guide.go_on(obs).unwrap_or_else(|| {
                     let (epsilon, share) = match guide.searches() {
                         true => (self.exploration.epsilon_start, self.exploration.guide_start),
                         false => (epsilon, schedule::guide(&self.exploration, at)),
                     };
                     self.policy
                         .act_guided(weights, obs, epsilon, share, rng, |rng| guide.action(obs, acting, rng))
-                }
+                }),
             };
             let step = self.env.step(action, &mut self.next_obs)?;
             pulse::step();
@@ -424,7 +427,7 @@ impl Worker {
             env: self.env.snapshot()?,
             explore: self.explore.clone(),
             environment: self.environment.clone(),
-            guide: self.guide.as_ref().and_then(Guide::progress).cloned(),
+            guide: self.guide.as_ref().and_then(Guide::progress),
         };
         Ok(codec::encode(STATE_KIND, &state)?)
     }

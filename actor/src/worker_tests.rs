@@ -3,6 +3,7 @@
 
 use super::*;
 use trestle_proto::NONE;
+use trestle_proto::annotation::Further;
 use trestle_proto::batch::Tally;
 use trestle_proto::experiment::MentorPart;
 use trestle_proto::waypoints::Waypoints;
@@ -108,6 +109,85 @@ fn guided_steps_take_the_known_action_of_the_state_they_are_in() {
     );
 }
 
+/// The corridor of [`guided_corridor`] with whole bridges, and what is acted with: of each option the mentor transition, and its
+/// steps with the cells in which they are to be taken.
+fn optional_corridor(known: [u32; 5], options: &[(u32, &[(u32, f32)])]) -> (Experiment, Acting) {
+    let mut experiment = guided_corridor(1.0);
+    experiment.config.exploration.guide_whole = true;
+    experiment.config.mentor.k = 7;
+    let mut acting = Acting { known: known.to_vec(), ..Acting::of_weights(always(&experiment, 0)) };
+    for (j, steps) in options {
+        let actions: Vec<u32> = steps.iter().map(|step| step.0).collect();
+        let states: Vec<f32> = steps.iter().flat_map(|step| [step.1, 0.0]).collect();
+        acting.options.push(*j, Further { actions: &actions, states: &states });
+    }
+    assert!(experiment.rooms().options.holds(&acting.options));
+    (experiment, acting)
+}
+
+#[test]
+fn whole_bridges_are_followed_to_their_end() {
+    // From the first cell east, east, west; in the second cell nothing else is known than west.
+    let steps: &[(u32, f32)] = &[(1, 1.0), (0, 2.0)];
+    let (experiment, acting) = optional_corridor([1, 0, NONE, NONE, NONE], &[(0, steps)]);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let batch = guided_batches(&mut worker, &acting, 1, 1, 8).remove(0);
+    // The seventh step is the last of its episode, and the next one begins in the first cell.
+    assert_eq!(actions(&batch), [1, 1, 0, 0, 1, 1, 0, 1]);
+}
+
+#[test]
+fn an_episode_ends_a_whole_bridge() {
+    // Seven steps east, of which five lead to the goal.
+    let steps: Vec<(u32, f32)> = (1..7).map(|x| (u32::from(x < 5), x as f32)).collect();
+    let (experiment, acting) = optional_corridor([1, NONE, NONE, NONE, NONE], &[(0, &steps)]);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let batch = guided_batches(&mut worker, &acting, 1, 1, 10).remove(0);
+    assert_eq!(actions(&batch), [1; 10]);
+    // A new life of the actor begins an episode as well.
+    guided_batches(&mut worker, &acting, 2, 1, 3);
+    worker.begin(worker.incarnation()).unwrap();
+    assert_eq!(actions(&guided_batches(&mut worker, &acting, 3, 1, 5)[0]), [1; 5]);
+}
+
+#[test]
+fn a_whole_bridge_is_abandoned_where_it_has_not_been() {
+    // The third step is to be taken where the second one does not lead. West is known in the third cell, and east elsewhere.
+    let steps: &[(u32, f32)] = &[(1, 1.0), (1, 4.0), (1, 3.0)];
+    let (experiment, acting) = optional_corridor([1, 1, 0, 1, 1], &[(0, steps)]);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    let batch = guided_batches(&mut worker, &acting, 1, 1, 7).remove(0);
+    assert_eq!(actions(&batch), [1, 1, 0, 1, 0, 1, 0]);
+}
+
+#[test]
+fn an_actor_on_a_whole_bridge_goes_on_from_its_snapshot() {
+    let steps: &[(u32, f32)] = &[(1, 1.0), (0, 2.0), (1, 1.0), (0, 2.0)];
+    let (mut experiment, acting) = optional_corridor([1, 0, NONE, NONE, NONE], &[(0, steps)]);
+    (experiment.config.exploration.guide_start, experiment.config.exploration.guide_end) = (0.6, 0.6);
+    let mut worker = Worker::new(&experiment, 0).unwrap();
+    for first in [1, 8, 15, 22] {
+        guided_batches(&mut worker, &acting, first, 7, 9);
+        let bytes = worker.snapshot().unwrap();
+        let mut other = Worker::new(&experiment, 0).unwrap();
+        other.restore(&bytes).unwrap();
+        assert_eq!(other.snapshot().unwrap(), bytes);
+        let went_on = guided_batches(&mut other, &acting, first + 7, 20, 13);
+        assert_eq!(guided_batches(&mut worker, &acting, first + 7, 20, 13), went_on);
+    }
+    // In the middle of a bridge, an actor with shorter ones does not take it, and neither does one without.
+    let at_once = Worker::new(&optional_corridor([1; 5], &[]).0, 0);
+    let mut worker = at_once.unwrap();
+    guided_batches(&mut worker, &acting, 1, 1, 1);
+    let bytes = worker.snapshot().unwrap();
+    let mut short = experiment.clone();
+    short.config.mentor.k = 2;
+    for other in [&short, &guided_corridor(1.0), &walked_corridor(&[])] {
+        let refused = Worker::new(other, 0).unwrap().restore(&bytes);
+        assert!(matches!(refused, Err(ActorError::Guide { index: 0 })), "{refused:?}");
+    }
+}
+
 #[test]
 fn a_share_of_the_exploring_steps_is_guided() {
     let experiment = guided_corridor(0.5);
@@ -193,7 +273,7 @@ fn an_actor_that_is_led_goes_on_from_its_snapshot() {
     let bytes = worker.snapshot().unwrap();
     let mut plain = Worker::new(&walked_corridor(&[]), 0).unwrap();
     let message = plain.restore(&bytes).unwrap_err().to_string();
-    assert!(message.contains("its place on the mentor's path"), "{message}");
+    assert!(message.contains("what its guide has under way"), "{message}");
     let mut other = bridged_corridor(&[]);
     other.waypoints.as_mut().unwrap().states.truncate(4);
     other.waypoints.as_mut().unwrap().transition_of = vec![0, NONE];

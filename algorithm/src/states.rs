@@ -5,6 +5,7 @@
 //! user has left, so numbers mean nothing beyond that, and no result may depend on their order.
 
 use crate::similarity::metric::Metric;
+use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 use trestle_proto::NONE;
@@ -89,6 +90,12 @@ impl States {
     /// State `id`, whitened.
     pub fn whitened(&self, id: u32) -> &[f32] {
         &self.whitened[id as usize * self.dim..][..self.dim]
+    }
+
+    /// Which of two states is the smaller one, feature by feature.
+    pub fn order(&self, a: u32, b: u32) -> Ordering {
+        let pairs = self.raw(a).iter().zip(self.raw(b));
+        pairs.map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
     }
 
     /// The number of `state`, with one more user, and whether it was not there before.

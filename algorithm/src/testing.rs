@@ -100,7 +100,8 @@ impl Walked {
 
 impl World {
     pub(crate) fn new(experiment: &Experiment, seed: u64) -> Self {
-        let table = AnnotationTable::new(experiment.mentor_len(), 2, N_ACTIONS as usize);
+        let table = AnnotationTable::new(experiment.mentor_len(), 2, N_ACTIONS as usize)
+            .keeping(experiment.further());
         let actors = experiment.config.run.actors as usize;
         let (places, walked) = (vec![None; actors], vec![Vec::new(); actors]);
         Self { rng: Stream::seed_from_u64(seed), table, experiment: experiment.clone(), places, walked }
@@ -152,6 +153,7 @@ impl World {
             let bridge =
                 Bridge { action, length: 2, reward, end_kl: 0.0, next_obs: &next_obs, terminated, ahead: 1 };
             self.table.set_bridge(j, &bridge);
+            self.table.set_further(j, [(N_ACTIONS - 1 - action, &next_obs[..])].into_iter());
         }
         self.table.encode(j, &mut observed.changed);
         observed

@@ -330,7 +330,7 @@ impl Exchange for Sockets {
                 actor.write_all(cast_slice(&learner.acting.weights))?;
             }
         }
-        let (spaces, obs_dim) = (learner.plan.experiment.spaces(), learner.plan.experiment.spec.obs_dim());
+        let (spaces, record) = (learner.plan.experiment.spaces(), learner.plan.experiment.record_words());
         for (actor, batch) in actors.iter_mut().zip(&mut learner.batches) {
             for _ in 0..learner.burst {
                 let mut header = BatchHeader::default();
@@ -355,7 +355,7 @@ impl Exchange for Sockets {
             payload.resize(words[0] as usize, 0);
             mentor.read_exact(cast_slice_mut(payload))?;
             let counts = parts.iter().map(|part| part.count as usize);
-            learner.answers.receive(&answer, payload, counts, obs_dim, MENTOR)?;
+            learner.answers.receive(&answer, payload, counts, record, MENTOR)?;
             learner.batches = batches;
         }
         Ok(())

@@ -12,7 +12,7 @@ use trestle_bench::walk::{Walk, World};
 use trestle_link::iceoryx::SharedMemory;
 use trestle_link::{ActorLink, MentorHandler, MentorLink, Transport};
 use trestle_proto::NONE;
-use trestle_proto::acting::{Acting, ActingHeader, Room};
+use trestle_proto::acting::{Acting, ActingHeader, Rooms};
 use trestle_proto::batch::{Batch, BatchHeader};
 use trestle_proto::incarnation::Incarnation;
 use trestle_proto::limits::WAIT_SLICE;
@@ -119,7 +119,7 @@ fn act_by_socket(path: &Path, plan: &RunPlan, index: u32, burst: u32) -> Result<
             let mut header = ActingHeader::default();
             learner.read_exact(bytes_of_mut(&mut header))?;
             learner.read_exact(cast_slice_mut(&mut received))?;
-            header.receive(plan.life.run, &actor.sizes, &received, &Room::default(), &mut actor.acting)?;
+            header.receive(plan.life.run, &actor.sizes, &received, &Rooms::default(), &mut actor.acting)?;
         }
         let batch = actor.answer(&orders);
         for _ in 0..burst {

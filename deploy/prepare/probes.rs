@@ -56,13 +56,14 @@ impl Needs {
     /// Of a run of `experiment`.
     pub(crate) fn of(experiment: &Experiment) -> Self {
         let shared = TRANSPORT.footprint(experiment);
-        let acting = experiment.acting().words() + experiment.own_room().words();
+        let acting = experiment.acting().words() + experiment.rooms().words();
         let actors = u64::from(experiment.config.run.actors);
         // All of the replay is reserved at the start, as if no transition had a successor.
         let (row, learner) = (experiment.spec.row(), &experiment.config.learner);
         let replay = learner.replay as u64 * (bytes_per_transition(row) + 4 * row.words()) as u64;
         // Demonstrations with what is known of them; networks with moments, gradients and copies; stacks of threads.
-        let mentor = experiment.mentor_len() as u64 * (8 * row.words() as u64 + 128);
+        let annotation = 128 + 12 * (experiment.record_words() - experiment.spec.obs_dim()) as u64;
+        let mentor = experiment.mentor_len() as u64 * (8 * row.words() as u64 + annotation);
         let networks = 64 * acting as u64 + ((8 * learner.threads as u64) << 20);
         // Adam's two moments of each parameter, with a header; a segment of shared memory; iceoryx2's books.
         let optimizer = 8 * acting as u64 + (64 << 10);

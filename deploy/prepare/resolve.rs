@@ -15,7 +15,7 @@ use trestle_learner::checkpoint;
 use trestle_mentor_server::demo_file;
 use trestle_proto::config::{self, Config, Demos, GuideKind, MetricKind, Mode, PLAN, RivalKind, Threshold};
 use trestle_proto::experiment::{Experiment, MentorPart};
-use trestle_proto::limits::MAX_TEXT_BYTES;
+use trestle_proto::limits::{MAX_OPTION_WORDS, MAX_TEXT_BYTES};
 use trestle_proto::regular_file;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::space::EnvSpec;
@@ -182,6 +182,15 @@ fn meet(mut config: Config) -> Result<Resolved> {
         !run.stop_when_solved || experiment.threshold().is_some(),
         "run.stop_when_solved = true, but {} has no return that counts as solved; accepted: false, or eval.threshold",
         experiment.spec.name
+    );
+    let options = experiment.rooms().options.words();
+    ensure!(
+        options <= MAX_OPTION_WORDS,
+        "exploration.guide_whole = true: bridges of up to {} steps for {} mentor transitions of {} features may take {options} words of \
+         a message; accepted: up to {MAX_OPTION_WORDS}, as with a smaller mentor.k or a shorter demonstration",
+        experiment.config.mentor.k,
+        experiment.mentor_len(),
+        experiment.spec.obs_dim()
     );
     trestle_qnet::network_of(&experiment)?;
     rivals::check(&experiment)?;

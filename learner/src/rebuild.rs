@@ -3,7 +3,6 @@
 use trestle_algorithm::agent::Agent;
 use trestle_algorithm::replay::Replay;
 use trestle_link::{LearnerLink, LinkError, pulse};
-use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, words};
 use trestle_proto::limits::{HISTORY_WORDS, MAX_QUERY_ROWS, MAX_ROLLOUT};
 use trestle_proto::observe::{ObserveRequest, PART_WORDS, Part, REBUILD, RESTORE};
@@ -43,7 +42,7 @@ pub(crate) fn rebuild_mentor(
         }
     }
     let records = agent.annotation_records();
-    let record = record_words(spec.obs_dim());
+    let record = plan.experiment.record_words();
     for chunk in records.chunks(record * MAX_QUERY_ROWS as usize) {
         let request = request(plan, round, replay.next_index(), RESTORE, chunk.len() / record);
         link.teach(&request, chunk)?;

@@ -35,7 +35,7 @@ use trestle_proto::run_result::RunResult;
 use trestle_proto::rundir::RunDir;
 use trestle_proto::schedule;
 
-const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 8 };
+const KIND: Kind = Kind { magic: *b"TRSESSN\0", version: 9 };
 
 /// What can end a session.
 #[derive(Debug, thiserror::Error)]

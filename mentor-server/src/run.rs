@@ -21,7 +21,9 @@ use trestle_proto::query::{
 pub fn mentor_of(experiment: &Experiment, demonstration: &Demonstration) -> Result<Mentor, MentorError> {
     let config = &experiment.config;
     let (algo, seed) = (config.run.algo, config.run.seed);
-    Mentor::new(demonstration, &config.mentor, algo, &experiment.spec, config.learner.replay, seed)
+    let mentor =
+        Mentor::new(demonstration, &config.mentor, algo, &experiment.spec, config.learner.replay, seed)?;
+    Ok(if config.whole_bridges() { mentor.keeping_whole_bridges() } else { mentor })
 }
 
 /// What ends the mentor-server's process early.
@@ -102,7 +104,7 @@ impl Server<'_> {
             match request.op {
                 OBSERVE => {
                     self.mentor.observe(first, transitions, &mut self.observed).map_err(|e| refuse(&e))?;
-                    self.observed.encode(self.spaces.row.dim, out);
+                    self.observed.encode(self.mentor.table().record_words(), out);
                     cut_short += self.observed.cut_short;
                 }
                 REBUILD => self.mentor.rebuild(first, transitions).map_err(|e| refuse(&e))?,

@@ -2,9 +2,10 @@
 //! message, so that an actor never has parts of different moments.
 //!
 //! The payload of the message is, in 32-bit words: the weights, the table of known actions, the parameters of the guiding policy,
-//! the length of each own path, and their places. Parameters of a network are, layer by layer, the weights \[in\]\[out\] row-major and then the bias
-//! \[out\], all `f32`.
+//! the options ([`Options`]), the length of each own path, and their places. Parameters of a network are, layer by layer, the weights
+//! \[in\]\[out\] row-major and then the bias \[out\], all `f32`.
 
+use crate::annotation::Further;
 use crate::limits::MAX_SIZES;
 use crate::message::Message;
 use crate::round::Round;
@@ -22,6 +23,8 @@ pub struct Acting {
     pub known: Vec<u32>,
     /// Parameters of the policy π of learned bridges; empty without them.
     pub policy: Vec<f32>,
+    /// How bridges go on whose first actions are known; empty unless whole bridges guide exploration.
+    pub options: Options,
     /// Paths of the observer's own, along which learned bridges lead rather than along the mentor's.
     pub own: OwnPlaces,
 }
@@ -44,6 +47,126 @@ impl Clone for OwnPlaces {
     fn clone_from(&mut self, other: &Self) {
         self.lengths.clone_from(&other.lengths);
         self.places.clone_from(&other.places);
+    }
+}
+
+/// Bridges as options: what follows upon the known action of a mentor transition, step by step.
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// The mentor transitions with an option, in ascending order.
+    pub of: Vec<u32>,
+    /// For each of them, where its steps end in the list of all steps.
+    pub ends: Vec<u32>,
+    /// The action of each step.
+    pub actions: Vec<u32>,
+    /// The state in which each step is to be taken, row-major.
+    pub states: Vec<f32>,
+}
+
+/// As derived, but for `clone_from`, which keeps the memory.
+impl Clone for Options {
+    fn clone(&self) -> Self {
+        let Self { of, ends, actions, states } = self;
+        Self { of: of.clone(), ends: ends.clone(), actions: actions.clone(), states: states.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        self.of.clone_from(&other.of);
+        self.ends.clone_from(&other.ends);
+        self.actions.clone_from(&other.actions);
+        self.states.clone_from(&other.states);
+    }
+}
+
+impl Options {
+    /// Forgets all of them.
+    pub fn clear(&mut self) {
+        self.of.clear();
+        self.ends.clear();
+        self.actions.clear();
+        self.states.clear();
+    }
+
+    /// Appends the option of mentor transition `j`, which is above all others, with one step or more.
+    pub fn push(&mut self, j: u32, steps: Further<'_>) {
+        self.actions.extend_from_slice(steps.actions);
+        self.states.extend_from_slice(steps.states);
+        self.of.push(j);
+        self.ends.push(self.actions.len() as u32);
+    }
+
+    /// The option of mentor transition `j`, if it has one.
+    pub fn get(&self, j: u32) -> Option<Further<'_>> {
+        let at = self.of.binary_search(&j).ok()?;
+        let from = at.checked_sub(1).map_or(0, |before| self.ends[before] as usize);
+        let steps = from..self.ends[at] as usize;
+        let dim = self.states.len() / self.actions.len();
+        Some(Further {
+            states: &self.states[steps.start * dim..steps.end * dim],
+            actions: &self.actions[steps],
+        })
+    }
+
+    /// Words in a message.
+    fn words(&self) -> usize {
+        self.of.len() + self.ends.len() + self.actions.len() + self.states.len()
+    }
+}
+
+/// How many options a message may have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OptionRoom {
+    /// Mentor transitions; 0 without options.
+    pub mentor: usize,
+    /// Steps of one option at most.
+    pub steps: usize,
+    /// Features of a state.
+    pub obs_dim: usize,
+    /// Actions of the environment.
+    pub n_actions: usize,
+}
+
+impl OptionRoom {
+    /// Words of all options at most.
+    pub fn words(&self) -> usize {
+        self.mentor.saturating_mul(2 + self.steps * (1 + self.obs_dim))
+    }
+
+    /// Words of `options` options with so many `steps` together; none if they do not fit in.
+    fn of(&self, options: u32, steps: u32) -> Option<usize> {
+        let (options, steps) = (options as usize, steps as usize);
+        let fits = options <= self.mentor && steps <= options * self.steps;
+        fits.then_some(2 * options + steps * (1 + self.obs_dim))
+    }
+
+    /// Whether `options` fit in, each of a mentor transition of its own, with whole steps of actions and finite states.
+    pub fn holds(&self, options: &Options) -> bool {
+        let Options { of, ends, actions, states } = options;
+        let starts = std::iter::once(&0).chain(ends);
+        of.len() == ends.len()
+            && of.is_sorted_by(|a, b| a < b)
+            && of.last().is_none_or(|&j| (j as usize) < self.mentor)
+            && starts.zip(ends).all(|(&start, &end)| start < end && (end - start) as usize <= self.steps)
+            && ends.last().map_or(0, |&end| end as usize) == actions.len()
+            && actions.iter().all(|&action| (action as usize) < self.n_actions)
+            && states.len() == actions.len() * self.obs_dim
+            && states.iter().all(|x| x.is_finite())
+    }
+}
+
+/// How large the parts of a message may be that are not always as long.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rooms {
+    /// Options.
+    pub options: OptionRoom,
+    /// Own paths.
+    pub own: Room,
+}
+
+impl Rooms {
+    /// Words of all of them at most.
+    pub fn words(&self) -> usize {
+        self.options.words() + self.own.words()
     }
 }
 
@@ -102,25 +225,33 @@ impl fmt::Display for Lengths {
 /// As derived, but for `clone_from`, which allocates nothing where the lengths are the same.
 impl Clone for Acting {
     fn clone(&self) -> Self {
-        let Self { weights, known, policy, own } = self;
-        Self { weights: weights.clone(), known: known.clone(), policy: policy.clone(), own: own.clone() }
+        let Self { weights, known, policy, options, own } = self;
+        Self {
+            weights: weights.clone(),
+            known: known.clone(),
+            policy: policy.clone(),
+            options: options.clone(),
+            own: own.clone(),
+        }
     }
 
     fn clone_from(&mut self, other: &Self) {
         self.weights.clone_from(&other.weights);
         self.known.clone_from(&other.known);
         self.policy.clone_from(&other.policy);
+        self.options.clone_from(&other.options);
         self.own.clone_from(&other.own);
     }
 }
 
 impl Acting {
-    /// All zero, with parts of these lengths and no own path.
+    /// All zero, with parts of these lengths, no option and no own path.
     pub fn zeros(lengths: Lengths) -> Self {
         Self {
             weights: vec![0.0; lengths.weights],
             known: vec![0; lengths.known],
             policy: vec![0.0; lengths.policy],
+            options: Options::default(),
             own: OwnPlaces::default(),
         }
     }
@@ -132,10 +263,10 @@ impl Acting {
 
     /// Words of the message's payload.
     pub fn words(&self) -> usize {
-        self.lengths().words() + self.own.lengths.len() + self.own.places.len()
+        self.lengths().words() + self.options.words() + self.own.lengths.len() + self.own.places.len()
     }
 
-    /// The length of each part but for own paths.
+    /// The length of each part but for options and own paths.
     pub fn lengths(&self) -> Lengths {
         Lengths { weights: self.weights.len(), known: self.known.len(), policy: self.policy.len() }
     }
@@ -148,23 +279,42 @@ impl Acting {
         let (weights, rest) = out.split_at_mut(self.weights.len());
         let (known, rest) = rest.split_at_mut(self.known.len());
         let (policy, rest) = rest.split_at_mut(self.policy.len());
+        let (of, rest) = rest.split_at_mut(self.options.of.len());
+        let (ends, rest) = rest.split_at_mut(self.options.ends.len());
+        let (actions, rest) = rest.split_at_mut(self.options.actions.len());
+        let (states, rest) = rest.split_at_mut(self.options.states.len());
         let (lengths, places) = rest.split_at_mut(self.own.lengths.len());
         weights.copy_from_slice(cast_slice(&self.weights));
         known.copy_from_slice(&self.known);
         policy.copy_from_slice(cast_slice(&self.policy));
+        of.copy_from_slice(&self.options.of);
+        ends.copy_from_slice(&self.options.ends);
+        actions.copy_from_slice(&self.options.actions);
+        states.copy_from_slice(cast_slice(&self.options.states));
         lengths.copy_from_slice(&self.own.lengths);
         places.copy_from_slice(cast_slice(&self.own.places));
     }
 
-    /// Copies a payload with this one's lengths, and behind these so many lengths of own paths.
-    fn read(&mut self, payload: &[u32], paths: usize) {
+    /// Copies a payload with this one's lengths, and behind these as many options and own paths as `header` says. States have
+    /// `obs_dim` features.
+    fn read(&mut self, payload: &[u32], header: &ActingHeader, obs_dim: usize) {
+        let [options, steps, paths] = [header.options, header.steps, header.paths].map(|n| n as usize);
         let (weights, rest) = payload.split_at(self.weights.len());
         let (known, rest) = rest.split_at(self.known.len());
         let (policy, rest) = rest.split_at(self.policy.len());
+        let (of, rest) = rest.split_at(options);
+        let (ends, rest) = rest.split_at(options);
+        let (actions, rest) = rest.split_at(steps);
+        let (states, rest) = rest.split_at(steps * obs_dim);
         let (lengths, places) = rest.split_at(paths);
         cast_slice_mut(&mut self.weights).copy_from_slice(weights);
         self.known.copy_from_slice(known);
         cast_slice_mut(&mut self.policy).copy_from_slice(policy);
+        self.options.clear();
+        self.options.of.extend_from_slice(of);
+        self.options.ends.extend_from_slice(ends);
+        self.options.actions.extend_from_slice(actions);
+        self.options.states.extend(states.iter().map(|&word| f32::from_bits(word)));
         self.own.lengths.clear();
         self.own.lengths.extend_from_slice(lengths);
         self.own.places.clear();
@@ -176,6 +326,10 @@ impl Acting {
         let crc = crc32c::crc32c(cast_slice(&self.weights));
         let crc = crc32c::crc32c_append(crc, cast_slice(&self.known));
         let crc = crc32c::crc32c_append(crc, cast_slice(&self.policy));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.options.of));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.options.ends));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.options.actions));
+        let crc = crc32c::crc32c_append(crc, cast_slice(&self.options.states));
         let crc = crc32c::crc32c_append(crc, cast_slice(&self.own.lengths));
         crc32c::crc32c_append(crc, cast_slice(&self.own.places))
     }
@@ -203,12 +357,16 @@ pub struct ActingHeader {
     pub n_sizes: u32,
     /// Own paths.
     pub paths: u32,
+    /// Options.
+    pub options: u32,
+    /// Steps of all options together.
+    pub steps: u32,
     /// Units of the Q-network's input, of each hidden layer and of its output.
     pub sizes: [u32; MAX_SIZES],
 }
 
 impl Message for ActingHeader {
-    const TYPE_NAME: &'static str = "trestle.ActingHeader.v2";
+    const TYPE_NAME: &'static str = "trestle.ActingHeader.v3";
 }
 
 /// A message that cannot be acted with.
@@ -245,6 +403,19 @@ pub enum ActingError {
         /// Lengths in this run.
         expected: Lengths,
     },
+    /// Options that cannot be this run's.
+    #[error(
+        "{options} options with {steps} steps; accepted: whole ones in ascending order, with actions of the environment and finite \
+         states, {room:?}"
+    )]
+    Options {
+        /// Options.
+        options: u32,
+        /// Steps of all of them.
+        steps: u32,
+        /// What is accepted.
+        room: OptionRoom,
+    },
     /// Own paths that cannot be this run's.
     #[error("own paths have lengths {lengths:?} and {numbers} numbers; accepted: finite ones, {room:?}")]
     Own {
@@ -280,14 +451,16 @@ impl ActingHeader {
             policy: policy as u32,
             n_sizes: sizes.len() as u32,
             paths: acting.own.lengths.len() as u32,
+            options: acting.options.of.len() as u32,
+            steps: acting.options.actions.len() as u32,
             ..Self::default()
         };
         header.sizes[..sizes.len()].copy_from_slice(sizes);
         header
     }
 
-    /// Copies what a peer sent into `into`, which has this run's lengths, and checks the copy, whose own paths must fit into `room`. A table of known actions is
-    /// taken as it is: who follows it checks each action.
+    /// Copies what a peer sent into `into`, which has this run's lengths, and checks the copy, whose options and own paths must fit
+    /// into `rooms`. A table of known actions is taken as it is: who follows it checks each action.
     ///
     /// # Errors
     /// A payload of another run or network, of other lengths, or a damaged one.
@@ -296,7 +469,7 @@ impl ActingHeader {
         run: u64,
         sizes: &[u32],
         payload: &[u32],
-        room: &Room,
+        rooms: &Rooms,
         into: &mut Acting,
     ) -> Result<(), ActingError> {
         if self.run != run {
@@ -308,13 +481,17 @@ impl ActingHeader {
         }
         let expected = into.lengths();
         let own = (self.known as usize, self.policy as usize) == (expected.known, expected.policy);
-        let (paths, least) = (self.paths as usize, expected.words());
+        let Rooms { options: option_room, own: room } = rooms;
+        let no_options =
+            ActingError::Options { options: self.options, steps: self.steps, room: *option_room };
+        let Some(options) = option_room.of(self.options, self.steps) else { return Err(no_options) };
+        let (paths, least) = (self.paths as usize, expected.words() + options);
         let most = least + room.words();
         if !own || paths > room.paths || !(least + paths..=most).contains(&payload.len()) {
             let (words, known, policy) = (payload.len(), self.known, self.policy);
             return Err(ActingError::Lengths { words, known, policy, expected });
         }
-        into.read(payload, paths);
+        into.read(payload, self, option_room.obs_dim);
         let computed = into.checksum();
         if computed != self.checksum {
             return Err(ActingError::Checksum {
@@ -322,6 +499,10 @@ impl ActingHeader {
                 found: computed,
                 expected: self.checksum,
             });
+        }
+        if !option_room.holds(&into.options) {
+            into.options.clear();
+            return Err(no_options);
         }
         if !room.holds(&into.own) {
             let (lengths, numbers) = (into.own.lengths.clone(), into.own.places.len());
@@ -339,11 +520,13 @@ mod tests {
 
     #[test]
     fn a_message_is_taken_whole_or_not_at_all() {
-        let (sizes, room) = ([1, 2], Room { dim: 2, paths: 2, places: 3 });
+        let options = OptionRoom { mentor: 3, steps: 2, obs_dim: 2, n_actions: 4 };
+        let (sizes, room) = ([1, 2], Rooms { options, own: Room { dim: 2, paths: 2, places: 3 } });
         let acting = Acting {
             weights: vec![0.5, -1.0, 2.0, 3.0],
             known: vec![7, NONE, 0],
             policy: vec![0.25, -8.0],
+            options: options_of(&[0, 2], &[1, 3], &[3, 0, 1]),
             own: OwnPlaces { lengths: vec![2, 3], places: vec![0.5; 10] },
         };
         let mut words = vec![0; acting.words()];
@@ -358,7 +541,7 @@ mod tests {
         assert!(matches!(refused(&header, 8, &sizes, &words), Some(ActingError::Run { .. })));
         assert!(matches!(refused(&header, 9, &[2, 1], &words), Some(ActingError::Sizes { .. })));
         let long = [&words[..], &[0; 9]].concat();
-        for words in [&words[..10], &long] {
+        for words in [&words[..23], &long] {
             assert!(matches!(refused(&header, 9, &sizes, words), Some(ActingError::Lengths { .. })));
         }
         assert!(matches!(refused(&header, 9, &sizes, &words[1..]), Some(ActingError::Checksum { .. })));
@@ -372,9 +555,59 @@ mod tests {
         }
     }
 
+    /// Options of states with two features.
+    fn options_of(of: &[u32], ends: &[u32], actions: &[u32]) -> Options {
+        let states = (0..2 * actions.len()).map(|i| i as f32).collect();
+        Options { of: of.to_vec(), ends: ends.to_vec(), actions: actions.to_vec(), states }
+    }
+
+    #[test]
+    fn options_are_found_by_their_mentor_transition() {
+        let mut options = Options::default();
+        for (j, actions, states) in [(1, &[3][..], &[0.0, 1.0][..]), (4, &[0, 1], &[2.0, 3.0, 4.0, 5.0])] {
+            options.push(j, Further { actions, states });
+        }
+        assert_eq!(options, options_of(&[1, 4], &[1, 3], &[3, 0, 1]));
+        assert_eq!(options.get(1), Some(Further { actions: &[3], states: &[0.0, 1.0] }));
+        assert_eq!(options.get(4), Some(Further { actions: &[0, 1], states: &[2.0, 3.0, 4.0, 5.0] }));
+        assert_eq!((options.get(0), options.get(5), Options::default().get(0)), (None, None, None));
+    }
+
+    #[test]
+    fn options_must_be_whole_and_fit_in() {
+        let options = OptionRoom { mentor: 3, steps: 2, obs_dim: 2, n_actions: 4 };
+        let rooms = Rooms { options, ..Rooms::default() };
+        let refused = |options: Options| {
+            let acting = Acting { options, ..Acting::default() };
+            let mut words = vec![0; acting.words()];
+            acting.write(&mut words);
+            let header = ActingHeader::new(9, 0, 4.into(), &[], &acting);
+            let mut into = Acting::default();
+            let error = header.receive(9, &[], &words, &rooms, &mut into).err();
+            assert!(error.is_none() || into == Acting::default(), "nothing is acted with");
+            error.is_some()
+        };
+        let of = options_of;
+        assert!(!refused(of(&[], &[], &[])) && !refused(of(&[0, 1, 2], &[2, 3, 5], &[0, 1, 2, 3, 0])));
+        // Out of order, beyond the demonstration, without steps, with too many, or with fewer than there are.
+        assert!(refused(of(&[1, 0], &[1, 2], &[0, 0])) && refused(of(&[1, 1], &[1, 2], &[0, 0])));
+        assert!(refused(of(&[3], &[1], &[0])) && refused(of(&[0, 1], &[1, 1], &[0])));
+        assert!(refused(of(&[0, 1], &[2, 1], &[0, 0])) && refused(of(&[0, 1], &[3, 4], &[0; 4])));
+        assert!(refused(of(&[0], &[1], &[0, 0])) && refused(of(&[0], &[2], &[0])));
+        // An action that nobody has, and a state that is none.
+        assert!(refused(of(&[0], &[1], &[4])));
+        assert!(refused(Options { states: vec![0.0, f32::NAN], ..of(&[0], &[1], &[0]) }));
+        // More than there may be, by the header alone.
+        let header = |options, steps| ActingHeader { options, steps, ..ActingHeader::default() };
+        for header in [header(4, 0), header(1, 3), header(u32::MAX, u32::MAX)] {
+            let error = header.receive(0, &[], &[], &rooms, &mut Acting::default());
+            assert!(matches!(error, Err(ActingError::Options { .. })), "{error:?}");
+        }
+    }
+
     #[test]
     fn own_paths_must_be_whole_and_fit_in() {
-        let room = Room { dim: 2, paths: 2, places: 3 };
+        let room = Rooms { own: Room { dim: 2, paths: 2, places: 3 }, ..Rooms::default() };
         let refused = |lengths: &[u32], places: &[f32]| {
             let own = OwnPlaces { lengths: lengths.to_vec(), places: places.to_vec() };
             let acting = Acting { own, ..Acting::default() };
@@ -391,7 +624,8 @@ mod tests {
     #[test]
     fn copying_over_keeps_the_memory() {
         let own = OwnPlaces { lengths: vec![2], places: vec![5.0; 2] };
-        let acting = Acting { weights: vec![1.0; 3], known: vec![2; 2], policy: vec![3.0; 4], own };
+        let options = options_of(&[1], &[1], &[0]);
+        let acting = Acting { weights: vec![1.0; 3], known: vec![2; 2], policy: vec![3.0; 4], options, own };
         let mut copy = Acting::zeros(acting.lengths());
         let before = copy.weights.as_ptr();
         copy.clone_from(&acting);

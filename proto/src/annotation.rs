@@ -3,6 +3,10 @@
 //! The mentor-server owns the table; the learner keeps a mirror, brought up to date by the changed records of every
 //! answer. A record travels as [`record_words`] 32-bit words: mentor index, a_est, e_KL (`f32`), start KL (`f32`), r_est
 //! (`f32`), l_feas, a_feas, r_feas (`f32`), end KL (`f32`), bridge flags, then the `obs_dim` features of s_feas (`f32`).
+//!
+//! Where whole bridges are kept, a bridge has up to a number of *further* steps, fixed for the run: `mentor.k` - 1. The states that
+//! the bridge has behind each of its steps but the last follow upon s_feas, which is the first of them. Then come the actions that
+//! are taken in these states. What is behind the bridge's end is 0, or [`NONE`] for actions.
 
 use crate::NONE;
 use bytemuck::{cast_slice, cast_slice_mut};
@@ -14,9 +18,14 @@ const FEAS_TERMINATED: u32 = 1;
 const AHEAD_SHIFT: u32 = 8;
 const AHEAD: u32 = 0xff << AHEAD_SHIFT;
 
-/// Words of one record for observations of `obs_dim` features.
-pub const fn record_words(obs_dim: usize) -> usize {
-    FIXED_WORDS + obs_dim
+/// Words of one record for observations of `obs_dim` features and bridges of which up to `further` steps after the first are kept.
+pub const fn record_words(obs_dim: usize, further: usize) -> usize {
+    FIXED_WORDS + states_of(further) * obs_dim + further
+}
+
+/// States of a record: s_feas, and those behind it.
+const fn states_of(further: usize) -> usize {
+    if further > 1 { further } else { 1 }
 }
 
 /// The best estimate of the mentor's action (paper, Fig. 1).
@@ -52,6 +61,15 @@ pub struct Bridge<'a> {
     pub ahead: u32,
 }
 
+/// The steps of a bridge after its first one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Further<'a> {
+    /// Their actions, 1 or more.
+    pub actions: &'a [u32],
+    /// The states in which they are taken, where the step before ended: row-major, `obs_dim` features each. The first is s_feas.
+    pub states: &'a [f32],
+}
+
 /// A record of a peer that cannot be right.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AnnotationError {
@@ -82,6 +100,8 @@ pub enum AnnotationError {
 pub struct AnnotationTable {
     obs_dim: usize,
     n_actions: usize,
+    /// Steps of a bridge after its first one that are kept, at most.
+    further: usize,
     a_est: Vec<u32>,
     e_kl: Vec<f32>,
     start_kl: Vec<f32>,
@@ -91,7 +111,10 @@ pub struct AnnotationTable {
     r_feas: Vec<f32>,
     end_kl: Vec<f32>,
     flags: Vec<u32>,
+    /// For each mentor transition as many states as a record has.
     s_feas: Vec<f32>,
+    /// For each mentor transition `further` actions.
+    a_further: Vec<u32>,
 }
 
 impl AnnotationTable {
@@ -100,6 +123,7 @@ impl AnnotationTable {
         Self {
             obs_dim,
             n_actions,
+            further: 0,
             a_est: vec![NONE; len],
             e_kl: vec![f32::INFINITY; len],
             start_kl: vec![f32::INFINITY; len],
@@ -110,7 +134,26 @@ impl AnnotationTable {
             end_kl: vec![f32::INFINITY; len],
             flags: vec![0; len],
             s_feas: vec![0.0; len * obs_dim],
+            a_further: Vec::new(),
         }
+    }
+
+    /// The same, before anything is known, with room for up to `further` steps of each bridge after the first.
+    pub fn keeping(mut self, further: usize) -> Self {
+        self.further = further;
+        self.s_feas = vec![0.0; self.len() * states_of(further) * self.obs_dim];
+        self.a_further = vec![NONE; self.len() * further];
+        self
+    }
+
+    /// Steps of a bridge after its first one that are kept, at most; 0 where whole bridges are of no use.
+    pub fn further_at_most(&self) -> usize {
+        self.further
+    }
+
+    /// Words of a record.
+    pub fn record_words(&self) -> usize {
+        record_words(self.obs_dim, self.further)
     }
 
     /// Number of mentor transitions.
@@ -145,10 +188,29 @@ impl AnnotationTable {
             length: self.l_feas[j],
             reward: self.r_feas[j],
             end_kl: self.end_kl[j],
-            next_obs: &self.s_feas[j * self.obs_dim..][..self.obs_dim],
+            next_obs: &self.states(j)[..self.obs_dim],
             terminated: self.flags[j] & FEAS_TERMINATED != 0,
             ahead: (self.flags[j] & AHEAD) >> AHEAD_SHIFT,
         })
+    }
+
+    /// The steps of mentor transition `j`'s bridge after its first one; none where there are none, or they are not known.
+    pub fn further(&self, j: usize) -> Option<Further<'_>> {
+        let actions = &self.a_further[j * self.further..][..self.further];
+        let count = actions.iter().position(|&action| action == NONE).unwrap_or(self.further);
+        let (actions, states) = (&actions[..count], &self.states(j)[..count * self.obs_dim]);
+        (count > 0).then_some(Further { actions, states })
+    }
+
+    /// s_feas of mentor transition `j`, and what is kept of the states behind it.
+    fn states(&self, j: usize) -> &[f32] {
+        let width = states_of(self.further) * self.obs_dim;
+        &self.s_feas[j * width..][..width]
+    }
+
+    fn states_mut(&mut self, j: usize) -> &mut [f32] {
+        let width = states_of(self.further) * self.obs_dim;
+        &mut self.s_feas[j * width..][..width]
     }
 
     /// Replaces the estimate of mentor transition `j`.
@@ -159,7 +221,7 @@ impl AnnotationTable {
         self.r_est[j] = estimate.reward;
     }
 
-    /// Replaces the bridge of mentor transition `j`.
+    /// Replaces the bridge of mentor transition `j`. Nothing is known of its further steps then.
     pub fn set_bridge(&mut self, j: usize, bridge: &Bridge<'_>) {
         self.l_feas[j] = bridge.length;
         self.a_feas[j] = bridge.action;
@@ -167,7 +229,21 @@ impl AnnotationTable {
         self.end_kl[j] = bridge.end_kl;
         let terminated = if bridge.terminated { FEAS_TERMINATED } else { 0 };
         self.flags[j] = terminated | (bridge.ahead << AHEAD_SHIFT) & AHEAD;
-        self.s_feas[j * self.obs_dim..][..self.obs_dim].copy_from_slice(bridge.next_obs);
+        let dim = self.obs_dim;
+        let states = self.states_mut(j);
+        states.fill(0.0);
+        states[..dim].copy_from_slice(bridge.next_obs);
+        self.a_further[j * self.further..][..self.further].fill(NONE);
+    }
+
+    /// Says what the steps of mentor transition `j`'s bridge after its first one are: each action, and the state in which it is taken.
+    /// The first of these states is s_feas. More than are kept are left out.
+    pub fn set_further<'a>(&mut self, j: usize, steps: impl Iterator<Item = (u32, &'a [f32])>) {
+        let (dim, further) = (self.obs_dim, self.further);
+        for (at, (action, state)) in steps.take(further).enumerate() {
+            self.a_further[j * further + at] = action;
+            self.states_mut(j)[at * dim..][..dim].copy_from_slice(state);
+        }
     }
 
     /// Appends the record of mentor transition `j` to `out`.
@@ -184,7 +260,8 @@ impl AnnotationTable {
             self.end_kl[j].to_bits(),
             self.flags[j],
         ]);
-        out.extend_from_slice(cast_slice(&self.s_feas[j * self.obs_dim..][..self.obs_dim]));
+        out.extend_from_slice(cast_slice(self.states(j)));
+        out.extend_from_slice(&self.a_further[j * self.further..][..self.further]);
     }
 
     /// Takes over the records that a peer sent, each checked before it is written.
@@ -192,7 +269,7 @@ impl AnnotationTable {
     /// # Errors
     /// The first record that cannot be right; those before it have been taken over.
     pub fn apply(&mut self, words: &[u32]) -> Result<(), AnnotationError> {
-        let record = record_words(self.obs_dim);
+        let record = self.record_words();
         if !words.len().is_multiple_of(record) {
             return Err(AnnotationError::Size { found: words.len(), record });
         }
@@ -208,8 +285,9 @@ impl AnnotationTable {
             self.r_feas[j] = f32::from_bits(r[7]);
             self.end_kl[j] = f32::from_bits(r[8]);
             self.flags[j] = r[9];
-            let s = &mut self.s_feas[j * self.obs_dim..][..self.obs_dim];
-            cast_slice_mut::<f32, u32>(s).copy_from_slice(&r[FIXED_WORDS..]);
+            let (states, actions) = r[FIXED_WORDS..].split_at(states_of(self.further) * self.obs_dim);
+            cast_slice_mut::<f32, u32>(self.states_mut(j)).copy_from_slice(states);
+            self.a_further[j * self.further..][..self.further].copy_from_slice(actions);
         }
         Ok(())
     }
@@ -244,8 +322,24 @@ impl AnnotationTable {
         if r[9] & !(FEAS_TERMINATED | AHEAD) != 0 {
             return refuse("flags", f64::from(r[9]), "bits 0 and 8 to 15".into());
         }
-        match r[FIXED_WORDS..].iter().map(|&w| f32::from_bits(w)).find(|x| !x.is_finite()) {
-            Some(x) => refuse("s_feas", f64::from(x), "finite numbers".into()),
+        let (states, actions) = r[FIXED_WORDS..].split_at(states_of(self.further) * self.obs_dim);
+        if let Some(x) = states.iter().map(|&w| f32::from_bits(w)).find(|x| !x.is_finite()) {
+            return refuse("s_feas", f64::from(x), "finite numbers".into());
+        }
+        let count = actions.iter().position(|&action| action == NONE).unwrap_or(actions.len());
+        if count != 0 && r[5] as usize != count + 1 {
+            return refuse("l_feas", f64::from(r[5]), format!("{}, one more than further steps", count + 1));
+        }
+        if let Some(&action) = actions[..count].iter().find(|&&action| action as usize >= self.n_actions) {
+            let accepted = format!("below {}", self.n_actions);
+            return refuse("a further action", f64::from(action), accepted);
+        }
+        let behind = &states[states_of(count) * self.obs_dim..];
+        match behind.iter().find(|&&word| word != 0) {
+            Some(&word) => refuse("a state behind a bridge", f64::from(f32::from_bits(word)), "0".into()),
+            None if actions[count..].iter().any(|&action| action != NONE) => {
+                refuse("an action behind a bridge", count as f64, "none".into())
+            }
             None => Ok(()),
         }
     }
@@ -275,21 +369,84 @@ mod tests {
         table.set_bridge(1, &bridge);
         let mut words = Vec::new();
         table.encode(1, &mut words);
-        assert_eq!(words.len(), record_words(2));
+        assert_eq!((words.len(), table.further(1)), (record_words(2, 0), None));
         let mut mirror = AnnotationTable::new(3, 2, 4);
         mirror.apply(&words).unwrap();
         assert_eq!(mirror, table);
         assert_eq!(mirror.bridge(1), Some(bridge));
     }
 
+    /// Two mentor transitions of which the second has a bridge of `length` steps; up to three after the first are kept.
+    fn bridged(length: u32) -> AnnotationTable {
+        let mut table = AnnotationTable::new(2, 2, 4).keeping(3);
+        let next_obs = &[5.0, 6.0];
+        let bridge =
+            Bridge { action: 3, length, reward: 1.0, end_kl: 0.0, next_obs, terminated: false, ahead: 1 };
+        table.set_bridge(1, &bridge);
+        table
+    }
+
+    #[test]
+    fn whole_bridges_survive_the_journey() {
+        let states = [[5.0, 6.0], [7.0, 8.0], [9.0, 10.0]];
+        let steps = || [2, 0, 1].into_iter().zip(states.iter().map(|state| &state[..]));
+        for length in 1..=4 {
+            let (mut table, further) = (bridged(length), length as usize - 1);
+            assert_eq!(table.further(1), None);
+            table.set_further(1, steps().take(further));
+            let (actions, all) = (&[2, 0, 1][..further], &states.concat()[..2 * further]);
+            let expected = (further > 0).then_some(Further { actions, states: all });
+            assert_eq!(table.further(1), expected);
+            let mut words = Vec::new();
+            table.encode(1, &mut words);
+            assert_eq!((words.len(), table.record_words()), (record_words(2, 3), 10 + 3 * 2 + 3));
+            let mut mirror = AnnotationTable::new(2, 2, 4).keeping(3);
+            mirror.apply(&words).unwrap();
+            assert_eq!((&mirror, mirror.further(1), mirror.further(0)), (&table, expected, None));
+            // Another bridge takes the place of all of it.
+            table.set_bridge(1, &bridged(1).bridge(1).unwrap());
+            assert_eq!(table, bridged(1));
+        }
+    }
+
+    #[test]
+    fn further_steps_that_cannot_be_are_refused() {
+        let refused = |length, changes: &[(usize, u32)]| {
+            let mut table = bridged(length);
+            table.set_further(1, [(2, &[5.0, 6.0][..]), (0, &[7.0, 8.0])].into_iter());
+            let mut words = Vec::new();
+            table.encode(1, &mut words);
+            changes.iter().for_each(|&(at, word)| words[at] = word);
+            table.apply(&words).err().map(|error| error.to_string())
+        };
+        assert_eq!(refused(3, &[]), None);
+        // Two further steps, and the numbers behind them: words 10 to 15 are states, 16 to 18 actions.
+        for (length, changes, what) in [
+            (2, &[][..], "l_feas is 2; accepted: 3"),
+            (4, &[], "l_feas is 4; accepted: 3"),
+            (3, &[(17, 4)], "a further action is 4; accepted: below 4"),
+            (3, &[(13, f32::NAN.to_bits())], "s_feas is NaN"),
+            (3, &[(15, 1.5f32.to_bits())], "a state behind a bridge is 1.5; accepted: 0"),
+            (3, &[(16, NONE)], "a state behind a bridge is 7; accepted: 0"),
+            (3, &[(16, NONE), (12, 0), (13, 0)], "an action behind a bridge is 0; accepted: none"),
+        ] {
+            let error = refused(length, changes).unwrap();
+            assert!(error.contains(what), "{error}");
+        }
+    }
+
     proptest! {
         #[test]
-        fn arbitrary_records_are_refused_or_sound(words in proptest::collection::vec(any::<u32>(), 0..40)) {
-            let mut table = AnnotationTable::new(5, 2, 4);
+        fn arbitrary_records_are_refused_or_sound(
+            words in proptest::collection::vec(any::<u32>(), 0..40),
+            further in 0usize..4,
+        ) {
+            let mut table = AnnotationTable::new(5, 2, 4).keeping(further);
             if table.apply(&words).is_ok() {
                 for j in 0..5 {
                     prop_assert!(table.estimate(j).is_none_or(|e| e.action < 4 && e.e_kl >= 0.0 && e.start_kl >= 0.0));
                     prop_assert!(table.bridge(j).is_none_or(|b| b.action < 4 && b.length > 0));
+                    prop_assert!(table.further(j).is_none_or(|f| f.states.len() == 2 * f.actions.len()));
                 }
             }
         }

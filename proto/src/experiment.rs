@@ -1,7 +1,8 @@
 //! A run as an experiment: all that decides what it computes. Two runs of one experiment in lockstep end with the same bits,
 //! whatever happens to their processes.
 
-use crate::acting::{Lengths, Room};
+use crate::acting::{Lengths, OptionRoom, Room, Rooms};
+use crate::annotation::record_words;
 use crate::batch::Spaces;
 use crate::config::{Channels, Config, ConvLayer, EncodingKind, GuideKind, Mode};
 use crate::limits::{MAX_OWN_NUMBERS, MAX_OWN_PLACES, TRANSITIONS_BUFFER};
@@ -88,6 +89,34 @@ impl Experiment {
         let hidden = self.config.learner.hidden.iter().copied();
         let planes = self.grids().into_iter().skip(1).map(|grid| grid.into_iter().product());
         std::iter::once(input).chain(planes).chain(hidden).chain([self.spec.n_actions()]).collect()
+    }
+
+    /// Steps of a bridge after its first one that are kept, at most; 0 unless whole bridges guide exploration.
+    pub fn further(&self) -> usize {
+        if self.config.whole_bridges() { self.config.mentor.k as usize - 1 } else { 0 }
+    }
+
+    /// Words of an annotation record.
+    pub fn record_words(&self) -> usize {
+        record_words(self.spec.obs_dim(), self.further())
+    }
+
+    /// How many options and own paths actors may get.
+    pub fn rooms(&self) -> Rooms {
+        Rooms { options: self.option_room(), own: self.own_room() }
+    }
+
+    /// How many options actors may get.
+    fn option_room(&self) -> OptionRoom {
+        match self.further() {
+            0 => OptionRoom::default(),
+            steps => OptionRoom {
+                mentor: self.mentor_len(),
+                steps,
+                obs_dim: self.spec.obs_dim(),
+                n_actions: self.spec.n_actions(),
+            },
+        }
     }
 
     /// How many own paths actors may get.

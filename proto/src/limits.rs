@@ -35,6 +35,9 @@ pub const MAX_OWN_PATHS: usize = 64;
 pub const MAX_OWN_PLACES: usize = 4096;
 /// Most numbers of the places of all of them: half a megabyte in each message.
 pub const MAX_OWN_NUMBERS: usize = 1 << 17;
+/// Most words of all options together, if each mentor transition had a bridge of `mentor.k` steps (`exploration.guide_whole`):
+/// sixteen megabytes in a message.
+pub const MAX_OPTION_WORDS: usize = 1 << 22;
 /// Most transitions in a demonstration.
 pub const MAX_MENTOR_TRANSITIONS: usize = 10_000_000;
 /// Most demonstrations that a run learns from.

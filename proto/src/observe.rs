@@ -9,7 +9,6 @@
 //! over one by one, as if it had asked about each of them alone.
 
 use crate::NONE;
-use crate::annotation::record_words;
 use crate::batch::{self, Batch, BatchError, Checked, Spaces, Transitions};
 use crate::limits::MAX_ROLLOUT;
 use crate::message::Message;
@@ -163,27 +162,27 @@ impl Observed {
         self.cut_short = 0;
     }
 
-    /// Appends the answer to `out` as it travels.
-    pub fn encode(&self, obs_dim: usize, out: &mut Vec<u32>) {
+    /// Appends the answer, whose annotation records have `record` words each, to `out` as it travels.
+    pub fn encode(&self, record: usize, out: &mut Vec<u32>) {
         out.extend_from_slice(&self.mentor);
-        out.push((self.changed.len() / record_words(obs_dim)) as u32);
+        out.push((self.changed.len() / record) as u32);
         out.extend_from_slice(&self.changed);
     }
 
     /// Copies what a peer answered to a part of `count` transitions, takes it off `words`, and checks sizes and indices
-    /// (records are checked where they are applied).
+    /// (records, of `record` words each, are checked where they are applied).
     fn receive(
         &mut self,
         words: &mut &[u32],
         count: usize,
-        obs_dim: usize,
+        record: usize,
         mentor_len: usize,
     ) -> Result<(), ObserveError> {
         let found = words.len();
         let size = |expected| ObserveError::Size { found, expected };
         let (mentor, rest) = words.split_at_checked(count).ok_or(size(count + 1))?;
         let (&changed, rest) = rest.split_first().ok_or(size(count + 1))?;
-        let changed = (changed as usize).saturating_mul(record_words(obs_dim));
+        let changed = (changed as usize).saturating_mul(record);
         let (changed, rest) =
             rest.split_at_checked(changed).ok_or(size(changed.saturating_add(count + 1)))?;
         *words = rest;
@@ -210,8 +209,8 @@ impl Answers {
         &self.parts[..self.len]
     }
 
-    /// Copies the answer to a request with `counts` transitions a part, and checks it as [`Observed`] says. Keeps its
-    /// memory from one answer to the next.
+    /// Copies the answer to a request with `counts` transitions a part, and checks it as [`Observed`] says. Annotation records have
+    /// `record` words each. Keeps its memory from one answer to the next.
     ///
     /// # Errors
     /// Sizes that are not those of the request, or indices outside the demonstration. No part counts then.
@@ -220,7 +219,7 @@ impl Answers {
         answer: &ObserveAnswer,
         mut payload: &[u32],
         counts: impl Iterator<Item = usize>,
-        obs_dim: usize,
+        record: usize,
         mentor_len: usize,
     ) -> Result<(), ObserveError> {
         self.len = 0;
@@ -229,7 +228,7 @@ impl Answers {
             if self.parts.len() == len {
                 self.parts.push(Observed::default());
             }
-            self.parts[len].receive(&mut payload, count, obs_dim, mentor_len)?;
+            self.parts[len].receive(&mut payload, count, record, mentor_len)?;
             len += 1;
         }
         if !payload.is_empty() {
@@ -247,10 +246,13 @@ impl Answers {
 mod tests {
     use super::*;
 
+    /// Words of an annotation record.
+    const RECORD: usize = 12;
+
     fn received(words: &[u32], counts: &[usize]) -> Result<Vec<Vec<u32>>, ObserveError> {
         let mut answers = Answers::default();
         let counts = counts.iter().copied();
-        answers.receive(&ObserveAnswer::default(), words, counts, 2, 4)?;
+        answers.receive(&ObserveAnswer::default(), words, counts, RECORD, 4)?;
         Ok(answers.parts().iter().map(|part| part.mentor.clone()).collect())
     }
 
@@ -267,16 +269,16 @@ mod tests {
 
     #[test]
     fn an_answer_survives_the_journey() {
-        let record = vec![9; record_words(2)];
+        let record = vec![9; RECORD];
         let parts = [
             Observed { mentor: vec![1, 2], changed: record.clone(), cut_short: 0 },
             Observed { mentor: vec![NONE], changed: Vec::new(), cut_short: 5 },
         ];
         let mut words = Vec::new();
-        parts.iter().for_each(|part| part.encode(2, &mut words));
+        parts.iter().for_each(|part| part.encode(RECORD, &mut words));
         let mut answers = Answers::default();
         let header = ObserveAnswer { cut_short: 5, ..ObserveAnswer::default() };
-        assert_eq!(answers.receive(&header, &words, [2, 1].into_iter(), 2, 4), Ok(()));
+        assert_eq!(answers.receive(&header, &words, [2, 1].into_iter(), RECORD, 4), Ok(()));
         assert_eq!(answers.parts(), parts);
     }
 

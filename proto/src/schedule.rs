@@ -64,6 +64,7 @@ mod tests {
             guide_start: 0.5,
             guide_end: 0.0,
             guide_decay_steps: 10,
+            guide_whole: false,
         };
         assert_eq!([0, 5, 10].map(|steps| guide(&exploration, steps)), [0.5, 0.25, 0.0]);
         assert_eq!([0, 9, 10].map(|steps| guides(&exploration, steps)), [true, true, false]);

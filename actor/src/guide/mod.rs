@@ -1,15 +1,16 @@
 //! Guided exploration (ours, not the paper's): an action that an exploring step takes instead of a random one.
 //!
-//! - `known`: the action that is known for the mentor state nearest to where the actor is;
+//! - `known`: the action that is known for the mentor state nearest to where the actor is, and perhaps the rest of its bridge;
 //! - `learned`: an action of a policy that leads along the mentor's path.
 
 mod known;
 mod learned;
 
-pub use known::Known;
-pub use learned::{Learned, Progress};
+pub use known::{Known, UnderWay};
+pub use learned::Learned;
 
 use crate::error::ActorError;
+use serde::{Deserialize, Serialize};
 use trestle_proto::acting::Acting;
 use trestle_proto::batch::Tally;
 use trestle_proto::experiment::Experiment;
@@ -21,6 +22,15 @@ pub enum Guide {
     Known(Box<Known>),
     /// Learned bridges.
     Learned(Box<Learned>),
+}
+
+/// What of a guide belongs to a snapshot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Progress {
+    /// Of known actions: the option under way.
+    Known(UnderWay),
+    /// Of learned bridges.
+    Learned(Box<learned::Progress>),
 }
 
 impl Guide {
@@ -55,8 +65,23 @@ impl Guide {
     /// The action in `obs`, if the guide has one. A learned guide draws it from `rng`.
     pub fn action(&mut self, obs: &[f32], acting: &Acting, rng: &mut Stream) -> Option<u32> {
         match self {
-            Self::Known(guide) => guide.action(obs, &acting.known),
+            Self::Known(guide) => guide.action(obs, acting),
             Self::Learned(guide) => guide.action(obs, &acting.policy, rng),
+        }
+    }
+
+    /// The next action of the whole bridge that is followed, in `obs`, if there is one.
+    pub fn go_on(&mut self, obs: &[f32]) -> Option<u32> {
+        match self {
+            Self::Known(guide) => guide.go_on(obs),
+            Self::Learned(_) => None,
+        }
+    }
+
+    /// No whole bridge is followed any more.
+    pub fn leave(&mut self) {
+        if let Self::Known(guide) = self {
+            guide.leave();
         }
     }
 
@@ -90,26 +115,30 @@ impl Guide {
     }
 
     /// What belongs to a snapshot; none where nothing does.
-    pub fn progress(&self) -> Option<&Progress> {
+    pub fn progress(&self) -> Option<Progress> {
         match self {
-            Self::Known(_) => None,
-            Self::Learned(guide) => Some(guide.progress()),
+            Self::Known(guide) => guide.under_way().cloned().map(Progress::Known),
+            Self::Learned(guide) => Some(Progress::Learned(Box::new(guide.progress().clone()))),
         }
     }
 
     /// Whether `progress`, of a snapshot, can be that of `guide`.
     pub fn fits(guide: Option<&Self>, progress: Option<&Progress>) -> bool {
         match (guide, progress) {
-            (Some(Self::Learned(guide)), Some(progress)) => guide.fits(progress),
-            (Some(Self::Learned(_)), None) => false,
-            (_, progress) => progress.is_none(),
+            (Some(Self::Known(guide)), Some(Progress::Known(under_way))) => guide.fits(under_way),
+            (Some(Self::Learned(guide)), Some(Progress::Learned(progress))) => guide.fits(progress),
+            (Some(Self::Known(guide)), None) => guide.under_way().is_none(),
+            (None, None) => true,
+            _ => false,
         }
     }
 
     /// Goes on from `progress`, which [`Guide::fits`].
     pub fn restore(&mut self, progress: Progress) {
-        if let Self::Learned(guide) = self {
-            guide.restore(progress);
+        match (self, progress) {
+            (Self::Known(guide), Progress::Known(under_way)) => guide.restore(under_way),
+            (Self::Learned(guide), Progress::Learned(progress)) => guide.restore(*progress),
+            _ => {}
         }
     }
 }

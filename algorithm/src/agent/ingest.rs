@@ -4,7 +4,6 @@ use super::samples::Sources;
 use super::{Agent, AgentError, Counters, Running};
 use crate::rivals::Shown;
 use trestle_proto::NONE;
-use trestle_proto::annotation::record_words;
 use trestle_proto::batch::{Batch, Checked};
 use trestle_proto::episode::Episode;
 use trestle_proto::observe::Observed;
@@ -48,8 +47,12 @@ impl Agent {
         if let (Some(mentor), Some(observed)) = (&mut self.mentor, observed) {
             mentor.annotations.apply(&observed.changed)?;
             mentor.searches_cut_short += u64::from(observed.cut_short);
-            for record in observed.changed.chunks_exact(record_words(self.replay.obs_dim())) {
+            let words = mentor.annotations.record_words();
+            for record in observed.changed.chunks_exact(words) {
                 self.renew_annotated(record[0] as usize);
+            }
+            if !observed.changed.is_empty() {
+                self.renew_options();
             }
         }
         let mut ingested = Ingested::default();

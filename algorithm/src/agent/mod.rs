@@ -99,6 +99,8 @@ struct Settings {
     combine: CombineKind,
     draw: DrawKind,
     one_sided: bool,
+    /// Whether actors get whole bridges.
+    whole: bool,
     /// Whether a policy is learnt as long as there is no own path, whatever the schedules say.
     search: bool,
 }
@@ -124,7 +126,8 @@ impl MentorSide {
         let (config, len) = (&experiment.config, transitions.len());
         let need = Need { mentor: &config.mentor, mentor_len: len, replay: config.learner.replay };
         Ok(Self {
-            annotations: AnnotationTable::new(len, experiment.spec.obs_dim(), experiment.spec.n_actions()),
+            annotations: AnnotationTable::new(len, experiment.spec.obs_dim(), experiment.spec.n_actions())
+                .keeping(experiment.further()),
             selection: selection::make(&need)?,
             visited: vec![0; len],
             used: vec![0; len],
@@ -244,12 +247,26 @@ impl Agent {
         self.renew_known(j);
     }
 
-    /// Renews the known action of mentor transition `j`.
+    /// Renews the known action of mentor transition `j`. Afterwards [`Agent::renew_options`] is due.
     fn renew_known(&mut self, j: usize) {
         let Some(mentor) = &self.mentor else { return };
         if let Some(entry) = self.acting.known.get_mut(j) {
             let term = mentor_term(&self.settings.rule, j, &mentor.annotations, &mentor.transitions, 0.0);
             *entry = term.map_or(NONE, |term| term.action);
+        }
+    }
+
+    /// Renews the options, where there are any: how the bridge of each mentor transition goes on whose known action is the bridge's first.
+    fn renew_options(&mut self) {
+        let Some(mentor) = self.mentor.as_ref().filter(|_| self.settings.whole) else { return };
+        let options = &mut self.acting.options;
+        options.clear();
+        for j in 0..mentor.transitions.len() {
+            let Some(steps) = mentor.annotations.further(j) else { continue };
+            let term = mentor_term(&self.settings.rule, j, &mentor.annotations, &mentor.transitions, 0.0);
+            if term.is_some_and(|term| term.kind == MentorKind::Bridged) {
+                options.push(j as u32, steps);
+            }
         }
     }
 
@@ -331,6 +348,7 @@ impl Settings {
             combine: mentor.combine,
             draw: mentor.draw,
             one_sided: mentor.one_sided,
+            whole: experiment.config.whole_bridges(),
             search: mentor.learned.search > 0.0,
         })
     }

@@ -178,6 +178,7 @@ impl Agent {
             own.publish(&mut self.acting.own);
         }
         (0..mentor_len).for_each(|j| self.renew_known(j));
+        self.renew_options();
         let rival = match &mut self.rival {
             Some(rival) => rival.restore(&state.rival, &self.replay),
             None => state.rival == RivalState::None,

@@ -25,6 +25,9 @@ impl Agent {
                 let labelled = rival.learn(&self.replay, transitions);
                 let len = transitions.filter(|_| labelled).map_or(0, MentorTransitions::len);
                 (0..len).for_each(|j| self.renew_annotated(j));
+                if len > 0 {
+                    self.renew_options();
+                }
             }
             if let Some(hindsight) = self.hindsight.as_mut().filter(|_| guides)
                 && let Some(loss) = hindsight.update(&self.replay)

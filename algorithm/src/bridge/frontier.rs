@@ -1,14 +1,20 @@
-//! Bookkeeping of a breadth-first search over similar states: which states it has seen, how far it has gone, and how many
-//! states and links it has looked at.
+//! Bookkeeping of a breadth-first search over similar states: which states it has seen, how far it has gone, how many states and
+//! links it has looked at, and which of two steps is the better one.
 
 use super::Path;
 use super::graph::Graph;
 use crate::similarity::metric::kl;
 use crate::states::States;
+use trestle_proto::limits::MAX_BRIDGE_DEPTH;
 
-/// Which states have been seen in the present search.
+/// Bits of a mark that hold the level, which is at most [`MAX_BRIDGE_DEPTH`].
+const LEVEL_BITS: u32 = 7;
+const _: () = assert!(MAX_BRIDGE_DEPTH < 1 << LEVEL_BITS);
+
+/// Which states have been seen in the present search, and at which level.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Marks {
+    /// The number of the search that saw a state last, and in the lowest bits the level.
     stamps: Vec<u32>,
     now: u32,
 }
@@ -16,7 +22,7 @@ pub(super) struct Marks {
 impl Marks {
     /// Forgets all marks; states are below `bound`.
     pub(super) fn begin(&mut self, bound: usize) {
-        if self.now == u32::MAX {
+        if self.now == u32::MAX >> LEVEL_BITS {
             self.stamps.fill(0);
             self.now = 0;
         }
@@ -24,9 +30,36 @@ impl Marks {
         self.stamps.resize(bound.max(self.stamps.len()), 0);
     }
 
-    /// Marks `id`; whether it was not marked before.
-    pub(super) fn first_time(&mut self, id: u32) -> bool {
-        std::mem::replace(&mut self.stamps[id as usize], self.now) != self.now
+    /// Marks `id` as seen at `level`, unless it is marked; whether it was not.
+    pub(super) fn first_time(&mut self, id: u32, level: u32) -> bool {
+        let stamp = &mut self.stamps[id as usize];
+        let first = *stamp >> LEVEL_BITS != self.now;
+        if first {
+            *stamp = self.now << LEVEL_BITS | level;
+        }
+        first
+    }
+
+    /// Whether `id` was seen at `level` first.
+    pub(super) fn is_at(&self, id: u32, level: u32) -> bool {
+        self.stamps.get(id as usize) == Some(&(self.now << LEVEL_BITS | level))
+    }
+}
+
+/// A step of a path, as far as it decides between equally long ones.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    pub(super) action: u32,
+    pub(super) reward: f32,
+    /// s', or another state that tells steps apart.
+    pub(super) to: u32,
+}
+
+impl Step {
+    /// Whether this one is better: a higher reward, or a smaller action, or a smaller state.
+    pub(super) fn beats(&self, other: &Self, states: &States) -> bool {
+        let order = other.reward.total_cmp(&self.reward).then(self.action.cmp(&other.action));
+        order.then_with(|| states.order(self.to, other.to)).is_lt()
     }
 }
 

@@ -55,10 +55,19 @@ impl Link {
 
     /// Action and reward of the best first step of a path that goes on: the highest reward, then the smallest action.
     pub fn best_continuing(&self) -> Option<(u32, f32)> {
-        let continuing = self.steps.iter().filter(|step| step.end == 0);
-        let best = continuing.min_by(|a, b| b.reward.total_cmp(&a.reward).then(a.action.cmp(&b.action)))?;
-        Some((best.action, best.reward))
+        best(self.steps.iter().filter(|step| step.end == 0))
     }
+
+    /// The same of the best step, whether or not a path may go on.
+    pub fn best(&self) -> Option<(u32, f32)> {
+        best(self.steps.iter())
+    }
+}
+
+/// Action and reward of the best of `steps`: the highest reward, then the smallest action.
+fn best<'a>(steps: impl Iterator<Item = &'a Step>) -> Option<(u32, f32)> {
+    let best = steps.min_by(|a, b| b.reward.total_cmp(&a.reward).then(a.action.cmp(&b.action)))?;
+    Some((best.action, best.reward))
 }
 
 /// The effect of a new transition on the graph.

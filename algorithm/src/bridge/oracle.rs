@@ -66,10 +66,7 @@ pub fn best(history: &History, j: usize, cross_reference: bool, path: &Path<'_>)
 /// Which of two first transitions is the better one: the higher reward, the smaller action, the smaller s'.
 pub(super) fn first_order(history: &History, a: u64, b: u64) -> Ordering {
     let (x, y) = (history.get(a), history.get(b));
-    let features = || {
-        let pairs = history.states.raw(x.to).iter().zip(history.states.raw(y.to));
-        pairs.map(|(x, y)| x.total_cmp(y)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
-    };
+    let features = || history.states.order(x.to, y.to);
     y.reward.total_cmp(&x.reward).then(x.action.cmp(&y.action)).then_with(features)
 }
 

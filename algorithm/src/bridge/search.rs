@@ -22,17 +22,17 @@
 //! has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes no further that way. So
 //! this choice, too, depends on the stored transitions alone.
 
-use super::frontier::{Marks, Side, similar};
+use super::frontier::{Marks, Side, Step, similar};
 use super::graph::{Graph, News};
 use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
+use super::trace::{self, Levels, Trail};
 use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
 use super::{Arrival, NEVER, Path, Place, improve, known};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
 use crate::states::States;
-use std::cmp::Ordering;
 use trestle_proto::annotation::{AnnotationTable, Bridge};
 
 /// Wanted transitions from which on a survey takes the place of naming them all.
@@ -46,25 +46,6 @@ pub const MAX_LOOKS: usize = 1 << 18;
 /// Goals that each state is compared with, at most. If there are more, the search uses the index instead, and leaves no
 /// state out for its distance.
 const FEW: usize = 32;
-
-/// The first step of a path, as far as it decides between equally long ones.
-#[derive(Clone, Copy, Debug)]
-struct First {
-    action: u32,
-    reward: f32,
-    to: u32,
-}
-
-impl First {
-    fn beats(&self, other: &Self, states: &States) -> bool {
-        let features = || {
-            let pairs = states.raw(self.to).iter().zip(states.raw(other.to));
-            pairs.map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(Ordering::Equal)
-        };
-        let order = other.reward.total_cmp(&self.reward).then(self.action.cmp(&other.action));
-        order.then_with(features).is_lt()
-    }
-}
 
 /// Where paths from t end, for each mentor state: fewest steps after t, then smallest KL.
 #[derive(Clone, Debug, Default)]
@@ -80,7 +61,7 @@ struct Ends {
 #[derive(Clone, Debug, Default)]
 struct Starts {
     steps: Vec<u32>,
-    first: Vec<First>,
+    first: Vec<Step>,
     touched: Vec<u32>,
     /// The most steps that one of them leaves for t and what follows.
     left: u32,
@@ -121,12 +102,14 @@ pub struct Search {
     /// Backward: states from which a path comes in; states that its steps leave from.
     entered: Marks,
     left: Marks,
-    back: Vec<(u32, First)>,
-    next_back: Vec<(u32, First)>,
+    back: Vec<(u32, Step)>,
+    next_back: Vec<(u32, Step)>,
     /// Position of a state in `next_back`, where it is there.
     slots: Vec<u32>,
     /// For each stored state.
     beside: Vec<Beside>,
+    /// The steps of a bridge that has been found.
+    trail: Trail,
     stack: Vec<u32>,
     /// The mentor states similar to a state on the way.
     hits: Vec<Hit>,
@@ -136,7 +119,7 @@ pub struct Search {
 impl Search {
     /// Working memory for a demonstration with this many states and transitions.
     pub fn new(mentor_states: usize, mentor_transitions: usize) -> Self {
-        let nowhere = First { action: 0, reward: 0.0, to: 0 };
+        let nowhere = Step { action: 0, reward: 0.0, to: 0 };
         Self {
             limit: MAX_LOOKS,
             many: MANY,
@@ -170,6 +153,7 @@ impl Search {
             next_back: Vec::new(),
             slots: Vec::new(),
             beside: Vec::new(),
+            trail: Trail::default(),
             stack: Vec::new(),
             hits: Vec::new(),
             cut_short: 0,
@@ -301,7 +285,7 @@ impl Search {
         self.wanted.clear();
         self.begin(new);
         self.mark(new);
-        let first = First { action: t.action, reward: t.reward, to: t.to };
+        let first = Step { action: t.action, reward: t.reward, to: t.to };
         for (j, _) in transitions(new.starts, path.order) {
             self.starts.meet(j, 0, first, (table, path), new.states);
         }
@@ -333,7 +317,7 @@ impl Search {
         self.level.clear();
         self.level.push(t.to);
         new.ends.iter().for_each(|hit| self.ends.note(hit, 0));
-        let first = First { action: t.action, reward: t.reward, to: t.to };
+        let first = Step { action: t.action, reward: t.reward, to: t.to };
         self.back.clear();
         self.back.push((t.from, first));
         for w in self.wanted.iter().filter(|w| w.started) {
@@ -347,9 +331,9 @@ impl Search {
         let Self { reached, continued, onward, entered, left, .. } = self;
         [reached, continued, onward, entered, left].into_iter().for_each(|marks| marks.begin(bound));
         self.slots.resize(bound.max(self.slots.len()), 0);
-        self.reached.first_time(t.to);
-        self.continued.first_time(t.to);
-        self.left.first_time(t.from);
+        self.reached.first_time(t.to, 0);
+        self.continued.first_time(t.to, 0);
+        self.left.first_time(t.from, 0);
     }
 
     /// Brings `wanted` up to date with the findings of both sides, and drops entries that are found or out of reach.
@@ -386,16 +370,16 @@ impl Search {
         next_reached.clear();
         for &y in level.iter() {
             similar(graph, states, y, path, side, |z, side| {
-                if !onward.first_time(z) {
+                if !onward.first_time(z, next) {
                     return;
                 }
                 side.look(graph.outgoing(z).len());
                 for link in graph.outgoing(z) {
-                    if reached.first_time(link.to) {
+                    if reached.first_time(link.to, next) {
                         next_reached.push(link.to);
                     }
                     if link.continues()
-                        && continued.first_time(link.to)
+                        && continued.first_time(link.to, next)
                         && (!few || within(states.whitened(link.to), limits, path))
                     {
                         next_level.push(link.to);
@@ -442,14 +426,14 @@ impl Search {
         next_back.clear();
         for &(z, _) in back.iter() {
             similar(graph, states, z, path, side, |y, side| {
-                if !entered.first_time(y) {
+                if !entered.first_time(y, next) {
                     return;
                 }
                 side.look(graph.incoming(y).len());
                 for link in graph.incoming(y) {
                     let Some((action, reward)) = link.best_continuing() else { continue };
-                    let (x, first) = (link.from, First { action, reward, to: y });
-                    if left.first_time(x) {
+                    let (x, first) = (link.from, Step { action, reward, to: y });
+                    if left.first_time(x, next) {
                         slots[x as usize] = next_back.len() as u32;
                         next_back.push((x, first));
                     } else if let Some((at, known)) = next_back.get_mut(slots[x as usize] as usize)
@@ -484,39 +468,48 @@ impl Search {
 
     /// Puts beginnings and ends together.
     fn join(
-        &self,
+        &mut self,
         new: &Arrival<'_>,
         path: &Path<'_>,
         table: &mut AnnotationTable,
         improved: &mut impl FnMut(usize),
     ) {
-        for &j in &self.starts.touched {
+        let Self { starts, ends, trail, reached, continued, onward, entered, left, .. } = self;
+        let levels = Levels { reached, continued, onward, entered, left };
+        for &j in &starts.touched {
             let j = j as usize;
             let mut end = (NEVER, f32::INFINITY);
-            let mut reached = path.order.state_of(j);
+            let mut arrived = path.order.state_of(j);
             for m in path.order.ahead(j, path.rule.n) {
-                if (self.ends.steps[m], self.ends.kl[m]) < end {
-                    end = (self.ends.steps[m], self.ends.kl[m]);
-                    reached = m;
+                if (ends.steps[m], ends.kl[m]) < end {
+                    end = (ends.steps[m], ends.kl[m]);
+                    arrived = m;
                 }
             }
-            if end.0 == NEVER || (self.starts.steps[j] + 1 + end.0) as usize > path.rule.k {
+            let before = starts.steps[j];
+            if end.0 == NEVER || (before + 1 + end.0) as usize > path.rule.k {
                 continue;
             }
-            let first = &self.starts.first[j];
+            let first = &starts.first[j];
             let found = Bridge {
                 action: first.action,
-                length: self.starts.steps[j] + 1 + end.0,
+                length: before + 1 + end.0,
                 reward: first.reward,
                 end_kl: end.1,
                 next_obs: new.states.raw(first.to),
                 // A first step with another behind it did not end its episode.
-                terminated: self.starts.steps[j] == 0 && new.t.terminated(),
-                ahead: (reached - path.order.state_of(j)) as u32,
+                terminated: before == 0 && new.t.terminated(),
+                ahead: (arrived - path.order.state_of(j)) as u32,
             };
-            let place = Place { first: self.starts.steps[j] == 0, last: end.0 == 0 };
+            let place = Place { first: before == 0, last: end.0 == 0 };
             if improve(table, j, &found, place) {
                 improved(j);
+                if table.further_at_most() > 0 && found.length > 1 {
+                    let goal = path.similarity.state(arrived);
+                    let ends = trace::Ends { before, after: end.0, first: *first, goal, end_kl: end.1 };
+                    trace::trace(&ends, &levels, new, path, trail);
+                    table.set_further(j, trail.steps(new.states));
+                }
             }
         }
     }
@@ -562,7 +555,7 @@ impl Starts {
         &mut self,
         j: usize,
         steps: u32,
-        first: First,
+        first: Step,
         (table, path): (&AnnotationTable, &Path<'_>),
         states: &States,
     ) {
@@ -577,7 +570,7 @@ impl Starts {
     }
 
     /// A path to t, of `steps` steps before it, begins near the beginning of mentor transition `j` with `first`.
-    fn note(&mut self, j: u32, steps: u32, first: First, states: &States) {
+    fn note(&mut self, j: u32, steps: u32, first: Step, states: &States) {
         let at = j as usize;
         let known = self.steps[at];
         if known == NEVER {

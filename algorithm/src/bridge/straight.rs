@@ -14,6 +14,8 @@ use trestle_proto::annotation::{AnnotationTable, Bridge};
 pub struct Scratch {
     stack: Vec<u32>,
     starts: Vec<Hit>,
+    /// Numbers of the transitions of the path, last to first.
+    steps: Vec<u64>,
 }
 
 /// Looks for bridges that end with transition `index`, the newest of `history`, and improves `table`. The mentor states of
@@ -27,12 +29,13 @@ pub fn search(
     scratch: &mut Scratch,
     mut improved: impl FnMut(usize),
 ) {
-    let Scratch { stack, starts } = scratch;
+    let Scratch { stack, starts, steps } = scratch;
     let states = &history.states;
     if ends.is_empty() {
         return;
     }
     let mut first = Some(index);
+    steps.clear();
     for length in 1..=path.rule.k {
         let Some(at) = first else { return };
         let step = history.get(at);
@@ -58,8 +61,11 @@ pub fn search(
             };
             if improve(table, j, &found, Place { first: length == 1, last: true }) {
                 improved(j);
+                let further = steps.iter().rev().map(|&step| history.get(step));
+                table.set_further(j, further.map(|step| (step.action, states.raw(step.from))));
             }
         }
+        steps.push(at);
         first = history.predecessor(at);
     }
 }

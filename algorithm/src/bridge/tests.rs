@@ -223,6 +223,77 @@ fn through(history: &History, index: u64, j: usize, path: &Path<'_>) -> Option<(
     None
 }
 
+/// The last `count` steps of the path of predecessors that ends with transition `index`: actions, and the states in which they were
+/// taken.
+fn further_straight(history: &History, index: u64, count: usize) -> Vec<(u32, Vec<f32>)> {
+    let all = std::iter::successors(Some(index), |&at| history.predecessor(at)).map(|at| history.get(at));
+    let mut steps: Vec<_> =
+        all.take(count).map(|step| (step.action, history.states.raw(step.from).to_vec())).collect();
+    steps.reverse();
+    steps
+}
+
+/// The steps after the first of the bridge for mentor transition `j` through transition `index`, the newest: by walks of all
+/// transitions, of every length.
+fn further_through(history: &History, index: u64, j: usize, path: &Path<'_>) -> Vec<(u32, Vec<f32>)> {
+    let similar = |a: &[f32], b: &[f32]| kl(a, b) <= path.similarity.e_th();
+    let (whitened, raw) = (|id| history.states.whitened(id), |id| history.states.raw(id).to_vec());
+    let all = || history.oldest()..history.end();
+    let joined = |t: u64, next: u64| {
+        let before = history.get(t);
+        !before.ends_episode() && similar(whitened(before.to), whitened(history.get(next).from))
+    };
+    let start = path.similarity.state(path.order.state_of(j));
+    let begins = |&f: &u64| similar(whitened(history.get(f).from), start);
+    let best = |a: &u64, b: &u64| oracle::first_order(history, *a, *b);
+    // The transitions from which so many steps lead to the newest one.
+    let mut before = vec![vec![index]];
+    while !before.last().unwrap().iter().any(begins) {
+        let level = before.last().unwrap();
+        before.push(all().filter(|&f| level.iter().any(|&next| joined(f, next))).collect());
+    }
+    let mut at = before.pop().unwrap().into_iter().filter(begins).min_by(best).unwrap();
+    let mut steps = Vec::new();
+    while let Some(level) = before.pop() {
+        let next = level.into_iter().filter(|&next| joined(at, next)).min_by(best).unwrap();
+        steps.push((history.get(next).action, raw(history.get(at).to)));
+        at = next;
+    }
+    // Those that so many steps after it reach.
+    let mut after = vec![vec![index]];
+    let end_kl = |e: u64| oracle::end_kl(history.get(e), j, history, path);
+    let least = loop {
+        let level = after.last().unwrap();
+        if let Some(least) = level.iter().filter_map(|&e| end_kl(e)).reduce(f32::min) {
+            break least;
+        }
+        after.push(all().filter(|&next| level.iter().any(|&e| joined(e, next))).collect());
+    };
+    let ends = |m: usize, e: u64| kl(whitened(history.get(e).to), path.similarity.state(m)) == least;
+    let last = after.last().unwrap();
+    let goal = path.order.ahead(j, path.rule.n).find(|&m| last.iter().any(|&e| ends(m, e))).unwrap();
+    let arrived = last.iter().filter(|&&e| ends(goal, e)).map(|&e| history.get(e).to);
+    let mut to = arrived.min_by(|&a, &b| history.states.order(a, b)).unwrap();
+    let behind = steps.len();
+    for at in (1..after.len()).rev() {
+        let goes_on = |next: u64| at + 1 == after.len() || !history.get(next).ends_episode();
+        let links = after[at].iter().filter(|&&next| history.get(next).to == to && goes_on(next));
+        let pairs = links.flat_map(|&next| after[at - 1].iter().map(move |&from| (from, next)));
+        let (from, next) = pairs
+            .filter(|&(from, next)| joined(from, next))
+            .min_by(|a, b| {
+                let (x, y) = (history.get(a.1), history.get(b.1));
+                let order = y.reward.total_cmp(&x.reward).then(x.action.cmp(&y.action));
+                order.then_with(|| history.states.order(history.get(a.0).to, history.get(b.0).to))
+            })
+            .unwrap();
+        to = history.get(from).to;
+        steps.push((history.get(next).action, raw(to)));
+    }
+    steps[behind..].reverse();
+    steps
+}
+
 /// The expected bridges after transition `index`. Without cross-referencing, and in a world where states are equal or
 /// dissimilar, each is the best that has ever been in the history. Otherwise each is as short as that, and the rule of
 /// [`super`] decides between equally long ones.
@@ -277,7 +348,7 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let similarity = Similarity::new(demo.states().to_vec(), dim, world.e_th);
     let rule = BridgeRule { k: world.k, n: world.n, e_infeas: 0.1 };
     let path = Path { rule, order: &order, similarity: &similarity };
-    let mut table = AnnotationTable::new(order.n_transitions(), dim, 4);
+    let mut table = AnnotationTable::new(order.n_transitions(), dim, 4).keeping(world.k - 1);
     let mut bench = Bench::new(&demo, world.e_th, world.capacity, cross_reference);
     if world.surveyed {
         bench.search.many = 0;
@@ -340,6 +411,17 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             let real =
                 table.bridge(j).is_some_and(|b| is_real(&bench.history, j, &b, cross_reference, &path));
             prop_assert!(real, "{:?} of {} after {} moves", table.bridge(j), j, i + 1);
+            let found: Vec<(u32, Vec<f32>)> = table.further(j).map_or(Vec::new(), |further| {
+                let states = further.states.chunks(dim).map(<[f32]>::to_vec);
+                further.actions.iter().copied().zip(states).collect()
+            });
+            let expected = if cross_reference {
+                further_through(&bench.history, index, j, &path)
+            } else {
+                further_straight(&bench.history, index, found.len())
+            };
+            prop_assert_eq!(found.len() + 1, table.bridge(j).map_or(0, |b| b.length as usize));
+            prop_assert_eq!(found, expected, "mentor transition {} after {} moves", j, i + 1);
         }
     }
     Ok(())

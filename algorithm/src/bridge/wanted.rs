@@ -206,13 +206,13 @@ impl Newest<'_> {
         let open = |j: usize| table.errors()[j] >= rule.e_infeas;
         seen.begin(order.n_transitions());
         for (j, start_kl) in transitions(self.starts, order) {
-            if open(j) && seen.first_time(j as u32) {
+            if open(j) && seen.first_time(j as u32, 0) {
                 wanted.extend(self.want(j, start_kl, table, outlook));
             }
         }
         for hit in self.ends {
             for j in order.behind(hit.state as usize, rule.n) {
-                if open(j) && seen.first_time(j as u32) {
+                if open(j) && seen.first_time(j as u32, 0) {
                     let start_kl = kl(self.from, similarity.state(order.state_of(j)));
                     wanted.extend(self.want(j, start_kl, table, outlook));
                 }
@@ -247,7 +247,7 @@ impl Newest<'_> {
             if steps > 0
                 && kl <= limits[steps as usize]
                 && let Some(j) = order.transition_of(m)
-                && seen.first_time(j as u32)
+                && seen.first_time(j as u32, 0)
             {
                 wanted.extend(self.want(j, kl, table, outlook));
             }

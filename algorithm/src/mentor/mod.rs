@@ -211,6 +211,12 @@ impl Mentor {
         })
     }
 
+    /// The same, before it knows anything, where bridges are kept from beginning to end ([`AnnotationTable::further`]).
+    pub fn keeping_whole_bridges(mut self) -> Self {
+        self.table = self.table.keeping(self.rule.k - 1);
+        self
+    }
+
     /// Takes in `batch`, whose first transition has number `first` in the run's one history: stores the transitions, infers actions, looks for bridges. Fills `out` with a mentor transition for each one, drawn
     /// evenly from those whose s_m is similar to its s (none: [`NONE`]), and with the annotations that changed, each
     /// once, in ascending order.

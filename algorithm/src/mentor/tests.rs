@@ -5,7 +5,7 @@
 use super::*;
 use crate::similarity::testing::cases;
 use proptest::prelude::*;
-use trestle_proto::annotation::record_words;
+use trestle_proto::annotation::{Further, record_words};
 use trestle_proto::batch::{Batch, BatchHeader, FIRST, Spaces, TERMINATED, TRUNCATED};
 use trestle_proto::config::{InferenceKind, MetricKind, Threshold};
 use trestle_proto::row::Element;
@@ -63,7 +63,7 @@ fn an_infeasible_step_is_bridged() {
     let mut out = Observed::default();
     mentor.observe(50, batch(0, &CORNER).transitions(), &mut out).unwrap();
     assert_eq!(out.mentor, [0, NONE]);
-    assert_eq!(out.changed.len(), record_words(2));
+    assert_eq!(out.changed.len(), record_words(2, 0));
     let estimate = mentor.table().estimate(0).unwrap();
     // North from (1, 0) is as near as east from (0, 0), ½ both, but begins elsewhere.
     assert_eq!((estimate.action, estimate.e_kl, estimate.reward), (0, 0.5, -1.0));
@@ -79,6 +79,16 @@ fn an_infeasible_step_is_bridged() {
     let again = CORNER.map(|s| (s.0, s.1, s.2, s.3, s.4, 0));
     mentor.observe(52, batch(1, &again).transitions(), &mut out).unwrap();
     assert_eq!((out.mentor.as_slice(), out.changed.len()), (&[0, NONE][..], 0));
+}
+
+#[test]
+fn a_whole_bridge_is_kept_where_that_is_asked_for() {
+    let mut mentor = diagonal(&config::Mentor::default(), Algo::HaDiiqn, 10).keeping_whole_bridges();
+    let mut out = Observed::default();
+    mentor.observe(0, batch(0, &CORNER).transitions(), &mut out).unwrap();
+    assert_eq!(out.changed.len(), record_words(2, 3));
+    assert_eq!(mentor.table().further(0), Some(Further { actions: &[1], states: &[1.0, 0.0] }));
+    assert_eq!(mentor.table().further(1), None);
 }
 
 #[test]
@@ -164,14 +174,14 @@ fn queries_answer_and_refuse() {
     assert!(mentor.similar(&[0.0, f32::NAN], 9).is_err());
     let mut words = Vec::new();
     mentor.bridge(&[0.0, 0.0], 0, &mut words).unwrap();
-    assert_eq!(words.len(), record_words(2));
+    assert_eq!(words.len(), record_words(2, 0));
     mentor.bridge(&[3.0, 0.0], 0, &mut words).unwrap();
     mentor.bridge(&[1.0, 1.0], 2, &mut words).unwrap();
-    assert_eq!(words.len(), record_words(2));
+    assert_eq!(words.len(), record_words(2, 0));
     assert_eq!(mentor.bridge(&[0.0, 0.0], 4, &mut words).unwrap_err().status(), OUT_OF_RANGE);
     let mut all = Vec::new();
     mentor.annotations(0, 4, &mut all).unwrap();
-    assert_eq!(all[..record_words(2)], words);
+    assert_eq!(all[..record_words(2, 0)], words);
     for (first, count) in [(0, 5), (4, 1), (u32::MAX, 1), (1, u32::MAX)] {
         assert_eq!(mentor.annotations(first, count, &mut all).unwrap_err().status(), OUT_OF_RANGE);
         assert_eq!(mentor.transitions(first, count, &mut all).unwrap_err().status(), OUT_OF_RANGE);
@@ -206,6 +216,8 @@ struct Run {
     replay: usize,
     /// Most states and links that a bridge search looks at.
     limit: usize,
+    /// Whether bridges are kept from beginning to end.
+    whole: bool,
     paths: Vec<Vec<[f32; 2]>>,
     steps: Vec<Step>,
     cut: prop::sample::Index,
@@ -227,13 +239,14 @@ fn runs() -> impl Strategy<Value = Run> {
             });
     let moves = proptest::collection::vec((0u32..3, 0u32..4, -2i8..3, 0u8..15), 20..120);
     let scale = (
+        any::<bool>(),
         1usize..40,
         prop_oneof![Just(usize::MAX), 5usize..60],
         prop_oneof![3 => Just(Algo::HaDiiqn), 1 => Just(Algo::Diiqn)],
     );
     let paths = proptest::collection::vec(proptest::collection::vec(point(), 2..7), 1..3);
     (settings, scale, paths, moves, any::<prop::sample::Index>()).prop_map(
-        |(config, (replay, limit, algo), paths, moves, cut)| {
+        |(config, (whole, replay, limit, algo), paths, moves, cut)| {
             let mut places = [[0.0f32; 2]; 3];
             let mut fresh = [true; 3];
             let steps = moves.into_iter().map(|(actor, action, reward, end)| {
@@ -249,7 +262,7 @@ fn runs() -> impl Strategy<Value = Run> {
                 places[a] = if end < 2 { [0.0; 2] } else { next };
                 (actor, obs, next, action, f32::from(reward), flags)
             });
-            Run { config, algo, replay, limit, paths, steps: steps.collect(), cut }
+            Run { config, algo, replay, limit, whole, paths, steps: steps.collect(), cut }
         },
     )
 }
@@ -260,7 +273,7 @@ impl Run {
         let mut mentor =
             Mentor::new(&demo(&paths), &self.config, self.algo, &spec(), self.replay, 11).unwrap();
         mentor.search.limit = self.limit;
-        mentor
+        if self.whole { mentor.keeping_whole_bridges() } else { mentor }
     }
 }
 
@@ -323,10 +336,11 @@ proptest! {
             let before = mentor.table().clone();
             mentor.observe(at, batch, &mut out).unwrap();
             mirror.apply(&out.changed).unwrap();
-            let named: Vec<u32> = out.changed.chunks_exact(record_words(2)).map(|r| r[0]).collect();
+            let named: Vec<u32> = out.changed.chunks_exact(mirror.record_words()).map(|r| r[0]).collect();
             let differs = |j: &u32| {
                 let j = *j as usize;
                 before.estimate(j) != mirror.estimate(j) || before.bridge(j) != mirror.bridge(j)
+                    || before.further(j) != mirror.further(j)
             };
             let expected: Vec<u32> = (0..mirror.len() as u32).filter(differs).collect();
             if &mirror != mentor.table() || named != expected || out.mentor.len() != batch.len() {

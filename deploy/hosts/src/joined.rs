@@ -17,7 +17,7 @@ use std::time::Duration;
 use trestle_link::iceoryx::IceoryxLearner;
 use trestle_link::iceoryx::relay::{self, Whom};
 use trestle_link::{FromActor, LearnerLink, Stop, logging, pulse};
-use trestle_proto::acting::{Acting, ActingHeader, Room};
+use trestle_proto::acting::{Acting, ActingHeader, Rooms};
 use trestle_proto::batch::{Batch, BatchHeader, Checked};
 use trestle_proto::codec::{self, MAX_BODY};
 use trestle_proto::limits::WAIT_SLICE;
@@ -255,13 +255,13 @@ impl Joined {
             here: plan.life.run,
             actors,
             sizes: experiment.sizes().into_iter().map(|n| n as u32).collect(),
-            room: experiment.own_room(),
+            rooms: experiment.rooms(),
             copy: Acting::zeros(experiment.acting()),
             batch: Checked::default(),
         };
         let most = size_of::<ActingHeader>()
             + size_of::<Orders>()
-            + 4 * (experiment.acting().words() + serving.room.words());
+            + 4 * (experiment.acting().words() + serving.rooms.words());
         self.stream.expect(1 + most);
         let ended = loop {
             if stop() {
@@ -307,7 +307,7 @@ struct Serving<'a> {
     here: u64,
     actors: &'a [u32],
     sizes: Vec<u32>,
-    room: Room,
+    rooms: Rooms,
     copy: Acting,
     batch: Checked<Batch>,
 }
@@ -339,7 +339,7 @@ impl Serving<'_> {
                 orders.validate(self.run).map_err(|error| wrong(&error))?;
                 if let Some((header, payload)) = acting {
                     header
-                        .receive(self.run, &self.sizes, &payload, &self.room, &mut self.copy)
+                        .receive(self.run, &self.sizes, &payload, &self.rooms, &mut self.copy)
                         .map_err(|error| wrong(&error))?;
                     self.link.set_generation(header.generation);
                     self.link.send_acting(header.version, &self.copy)?;

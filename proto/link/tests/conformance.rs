@@ -3,7 +3,7 @@
 
 mod canned;
 
-use canned::{ACTORS, Canned, LONG, MENTOR, plan};
+use canned::{ACTORS, Canned, FURTHER, LONG, MENTOR, plan};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use trestle_link::{
     ActorLink, ClientLink, FromActor, Host, LearnerLink, LinkError, Liveness, MentorLink, Transport,
 };
 use trestle_proto::NONE;
-use trestle_proto::acting::Acting;
+use trestle_proto::acting::{Acting, Options};
 use trestle_proto::annotation::AnnotationTable;
 use trestle_proto::batch::{Batch, BatchHeader, Checked, FIRST, Transition};
 use trestle_proto::observe::{Answers, OBSERVE, ObserveRequest, Part};
@@ -65,7 +65,12 @@ fn never() -> bool {
 
 fn acting(version: Round) -> Acting {
     let mark = u64::from(version) as f32 / 100.0;
-    Acting::of_weights((0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + mark).collect())
+    let weights = (0..2 * 8 + 8 + 8 * 3 + 3).map(|i| i as f32 + mark).collect();
+    // An option of one step, and another one of up to three.
+    let steps = 2 + u64::from(version) as u32 % 3;
+    let states = (0..2 * steps).map(|i| i as f32 - mark).collect();
+    let options = Options { of: vec![0, 2], ends: vec![1, steps], actions: vec![2; steps as usize], states };
+    Acting { known: vec![1, NONE, 2], options, ..Acting::of_weights(weights) }
 }
 
 fn batch_of(run: u64, round: Round, actor: u32, mark: f32) -> Batch {
@@ -229,7 +234,7 @@ fn messages_arrive_whole_and_in_order<T: Transport + Sync>(transport: &T) {
             link.observe(&request, &parts, &mut answers).unwrap();
             for (actor, answer) in answers.parts().iter().enumerate() {
                 assert_eq!(answer.mentor, [if actor == 0 { 1 } else { NONE }; 4]);
-                let mut table = AnnotationTable::new(MENTOR, 2, 3);
+                let mut table = AnnotationTable::new(MENTOR, 2, 3).keeping(FURTHER);
                 table.apply(&answer.changed).unwrap();
                 assert_eq!(table.estimate(actor).unwrap().e_kl, 0.5);
                 assert_eq!(table.estimate(1 - actor), None);

@@ -15,6 +15,11 @@ impl Config {
         (acts && (e.guide_start > 0.0 || e.guide_end > 0.0)).then_some(guide)
     }
 
+    /// Whether whole bridges guide exploration.
+    pub fn whole_bridges(&self) -> bool {
+        self.exploration.guide_whole && self.guide() == Some(GuideKind::Known)
+    }
+
     /// Whether rewards are shaped.
     pub fn shaped(&self) -> bool {
         self.shaping.potential > 0.0
@@ -43,6 +48,7 @@ impl Config {
             (with && mentor.draw == DrawKind::Uniform, "+uniform"),
             (with && mentor.one_sided, "+one-sided"),
             (self.guide() == Some(GuideKind::Known), "+guided"),
+            (self.whole_bridges(), "+whole-bridges"),
             (learned && self.run.algo != Algo::Trestle, "+learned-bridges"),
             (imitates && self.run.algo != Algo::Trestle, "+imitation"),
             (self.shaped(), "+shaped"),
@@ -81,6 +87,29 @@ mod tests {
         let imitating = ["run.algo=ha-diiqn", "mentor.learned.imitate=1", learned[0], learned[1]];
         assert_eq!(arm(&imitating), "ha-diiqn+learned-bridges+imitation");
         assert_eq!(arm(&["run.algo=trestle"]), "trestle");
+        let whole = ["run.algo=ha-diiqn", "exploration.guide_start=0.5", "exploration.guide_whole=true"];
+        assert_eq!(arm(&whole), "ha-diiqn+guided+whole-bridges");
+    }
+
+    #[test]
+    fn whole_bridges_need_bridges_and_a_guide_that_knows_them() {
+        let refused = |sets: &[&str]| {
+            let sets = [&["exploration.guide_whole=true", "exploration.guide_start=0.5"], sets].concat();
+            with("maze30", &sets).unwrap_err().to_string()
+        };
+        for (sets, accepted) in [
+            (&["run.algo=dqn"][..], "false with run.algo = dqn, which has no bridges"),
+            (&["run.algo=diiqn"], "false with run.algo = diiqn, which has no bridges"),
+            (&["run.algo=trestle"], "false with run.algo = trestle, which has no bridges"),
+            (&["mentor.bridges=false"], "false with mentor.bridges = false"),
+            (&["mentor.k=1"], "false with mentor.k = 1"),
+            (&["exploration.guide_start=0"], "false without a guide; exploration.guide_start"),
+            (&["exploration.guide=learned"], "false with exploration.guide = learned"),
+        ] {
+            let error = refused(&[&["run.algo=ha-diiqn"], sets].concat());
+            assert!(error.starts_with("exploration.guide_whole = true; accepted: "), "{error}");
+            assert!(error.contains(accepted), "{error}");
+        }
     }
 
     #[test]

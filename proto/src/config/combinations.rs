@@ -86,6 +86,18 @@ impl Config {
         let some = algo != Algo::Trestle || self.guide().is_some();
         let accepted = "above 0 with run.algo = trestle, or exploration.guide_end above 0";
         require(some, "exploration.guide_start", e.guide_start, accepted)?;
+        if e.guide_whole {
+            let whole = |fits, accepted: &str| require(fits, "exploration.guide_whole", true, accepted);
+            let accepted = format!("false with run.algo = {algo}, which has no bridges; ha-diiqn has some");
+            whole(algo == Algo::HaDiiqn, &accepted)?;
+            whole(mentor.bridges, "false with mentor.bridges = false")?;
+            whole(mentor.k > 1, "false with mentor.k = 1, where each bridge has one step")?;
+            let accepted =
+                "false without a guide; exploration.guide_start or exploration.guide_end above 0 gives one";
+            whole(self.guide().is_some(), accepted)?;
+            let accepted = "false with exploration.guide = learned, which follows no bridges";
+            whole(self.guide() == Some(GuideKind::Known), accepted)?;
+        }
         let learned = &mentor.learned;
         let paths = learned.imitate == 0.0 || learned.own_paths > 0;
         let accepted = "1 or more with mentor.learned.imitate above 0";

@@ -25,6 +25,9 @@ settings! {
         guide_end: f64 = 0.0, between(0.0, 1.0);
         /// Environment steps of all actors over which that share falls linearly. 0: as many as ε takes, `epsilon_decay_steps`.
         guide_decay_steps: u64 = 50_000;
+        /// With known actions and bridges: whether a guided step that begins a bridge is followed by the bridge's other steps, until
+        /// a state is not similar to the one that the bridge had there.
+        guide_whole: bool = false;
     }
 }
 

@@ -81,6 +81,8 @@ all() {
     both lag "${small[@]}" --algo ha-diiqn --seed 6 --actors 3 --set run.lag=1
     both guided "${small[@]}" --algo ha-diiqn --seed 7 "${onehot[@]}" --set exploration.guide_start=0.9
     both guided-lag "${small[@]}" --algo ha-diiqn --seed 7 --actors 2 --set run.lag=1 --set exploration.guide_start=0.9
+    run whole-bridges "${small[@]}" --algo ha-diiqn --seed 7 --actors 2 --set exploration.guide_start=0.9 \
+        --set exploration.guide_whole=true
     both confidence "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence
     both one-sided "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.one_sided=true
     both beside "${small[@]}" --algo ha-diiqn --seed 8 --set mentor.selection=confidence --set mentor.combine=beside

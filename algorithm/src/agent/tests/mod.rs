@@ -6,6 +6,7 @@ mod allocations;
 mod counts;
 mod gradient;
 mod grids;
+mod options;
 
 use super::Agent;
 use crate::testing::{N_ACTIONS, World, demonstration, experiment};

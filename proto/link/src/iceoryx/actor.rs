@@ -107,7 +107,7 @@ impl IceoryxActor {
                 continue;
             }
             let (run, sizes) = (self.services.run, &self.services.sizes);
-            header.receive(run, &sizes.network, sample.payload(), &sizes.own, &mut self.copy)?;
+            header.receive(run, &sizes.network, sample.payload(), &sizes.rooms, &mut self.copy)?;
             self.newest = Some((header.generation, header.version));
         }
         Ok(())

@@ -362,7 +362,7 @@ impl LearnerLink for IceoryxLearner {
         };
         self.ask_history(request, parts.len(), words, fill, |answer, payload, Services { sizes, .. }| {
             let counts = parts.iter().map(|part| part.count as usize);
-            Ok(into.receive(answer, payload, counts, sizes.obs_dim, sizes.mentor_len)?)
+            Ok(into.receive(answer, payload, counts, sizes.record_words, sizes.mentor_len)?)
         })
     }
 

@@ -1,7 +1,6 @@
 //! How large the messages of a run are.
 
-use trestle_proto::acting::{Lengths, Room};
-use trestle_proto::annotation::record_words;
+use trestle_proto::acting::{Lengths, Rooms};
 use trestle_proto::batch::{self, Spaces};
 use trestle_proto::config::Mode;
 use trestle_proto::experiment::Experiment;
@@ -27,8 +26,10 @@ pub(super) struct Sizes {
     pub(super) batch_words: usize,
     /// Entries of what actors act with.
     pub(super) acting: Lengths,
-    /// Own paths that they may get beside.
-    pub(super) own: Room,
+    /// Options and own paths that they may get beside.
+    pub(super) rooms: Rooms,
+    /// Words of an annotation record.
+    pub(super) record_words: usize,
     /// Transitions of the demonstration; 0 without a mentor.
     pub(super) mentor_len: usize,
     /// Batches of an actor that may be on their way.
@@ -48,7 +49,8 @@ impl Sizes {
             network: network.into_iter().map(|n| n as u32).collect(),
             batch_words: batch::words(experiment.config.run.rollout as usize, experiment.spec.row()),
             acting: experiment.acting(),
-            own: experiment.own_room(),
+            rooms: experiment.rooms(),
+            record_words: experiment.record_words(),
             mentor_len: experiment.mentor_len(),
             window: experiment.window() as usize,
             replaces: experiment.config.run.mode == Mode::Free,
@@ -57,7 +59,7 @@ impl Sizes {
 
     /// Words of what actors act with, at most.
     pub(super) fn acting_words(&self) -> usize {
-        self.acting.words() + self.own.words()
+        self.acting.words() + self.rooms.words()
     }
 
     /// Batches of an actor that may wait for the learner.
@@ -72,19 +74,19 @@ impl Sizes {
     pub(super) fn observe_request_words(&self) -> usize {
         let history = HISTORY_WORDS.max(PART_WORDS + batch::words(1, self.spaces.row));
         (self.actors * (self.batch_words + PART_WORDS))
-            .max(self.annotation_rows() * record_words(self.obs_dim))
+            .max(self.annotation_rows() * self.record_words)
             .max(history)
     }
 
     /// Words of an answer of `mentor/observe` for which room is made in advance; a larger one makes the memory grow.
     pub(super) fn observe_answer_words(&self) -> usize {
         let rollout = self.batch_words / batch::words(1, self.spaces.row);
-        self.actors * (rollout + 1) + self.annotation_rows() * record_words(self.obs_dim)
+        self.actors * (rollout + 1) + self.annotation_rows() * self.record_words
     }
 
     /// Words of the largest answer of `mentor/query`.
     pub(super) fn query_answer_words(&self) -> usize {
-        let row = record_words(self.obs_dim).max(transition_words(self.obs_dim)).max(8);
+        let row = self.record_words.max(transition_words(self.obs_dim)).max(8);
         self.annotation_rows() * row
     }
 

@@ -3,7 +3,7 @@
 use super::wire::{Answer, Place, Request, ToLearner, Want, Wire};
 use crate::{ActorLink, ClientLink, FromActor, LearnerLink, LinkError, MentorHandler, MentorLink, Stop};
 use std::time::Duration;
-use trestle_proto::acting::{Acting, ActingHeader, Room};
+use trestle_proto::acting::{Acting, ActingHeader, Rooms};
 use trestle_proto::batch::{Batch, Checked, Spaces};
 use trestle_proto::limits::{BACKPRESSURE, OBSERVE_DEADLINE, QUERY_DEADLINE, WAIT_SLICE};
 use trestle_proto::observe::{Answers, ObserveAnswer, ObserveRequest, Part};
@@ -20,7 +20,7 @@ pub struct LocalActor<P> {
     run: u64,
     index: usize,
     sizes: Vec<u32>,
-    room: Room,
+    rooms: Rooms,
     /// The weights that were received last.
     copy: Acting,
     /// How many orders there had been when some were received last.
@@ -34,7 +34,7 @@ pub struct LocalLearner<P> {
     run: u64,
     generation: u16,
     sizes: Vec<u32>,
-    obs_dim: usize,
+    record_words: usize,
     spaces: Spaces,
     mentor_len: usize,
 }
@@ -131,7 +131,7 @@ impl<P: Place> LocalActor<P> {
             run: plan.life.run,
             index: index as usize,
             sizes: layers(plan),
-            room: plan.experiment.own_room(),
+            rooms: plan.experiment.rooms(),
             copy: Acting::zeros(plan.experiment.acting()),
             received: 0,
         }
@@ -139,10 +139,10 @@ impl<P: Place> LocalActor<P> {
 
     /// Takes over the weights that were published last; returns their generation and version.
     fn update(&mut self) -> Result<Option<(u16, Round)>, LinkError> {
-        let Self { place, run, sizes, room, copy, .. } = self;
+        let Self { place, run, sizes, rooms, copy, .. } = self;
         place.with(|wire, _| {
             let Some((header, payload)) = &wire.published else { return Ok(None) };
-            header.receive(*run, sizes, payload, room, copy)?;
+            header.receive(*run, sizes, payload, rooms, copy)?;
             Ok(Some((header.generation, header.version)))
         })?
     }
@@ -209,7 +209,7 @@ impl<P: Place> LocalLearner<P> {
             run: life.run,
             generation: life.generation,
             sizes: layers(plan),
-            obs_dim: experiment.spec.obs_dim(),
+            record_words: experiment.record_words(),
             spaces: experiment.spaces(),
             mentor_len: experiment.mentor_len(),
         }
@@ -303,7 +303,7 @@ impl<P: Place> LearnerLink for LocalLearner<P> {
         let words = parts.iter().flat_map(|part| [&part.header(), part.payload].concat()).collect();
         let (header, payload) = self.ask_history(request, words)?;
         let counts = parts.iter().map(|part| part.count as usize);
-        Ok(into.receive(&header, &payload, counts, self.obs_dim, self.mentor_len)?)
+        Ok(into.receive(&header, &payload, counts, self.record_words, self.mentor_len)?)
     }
 
     fn teach(&mut self, request: &ObserveRequest, payload: &[u32]) -> Result<(), LinkError> {

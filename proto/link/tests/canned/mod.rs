@@ -21,6 +21,8 @@ pub const LONG: Duration = Duration::from_secs(20);
 pub const ACTORS: u32 = 2;
 /// Transitions of its demonstration.
 pub const MENTOR: usize = 3;
+/// Steps of a bridge after the first, at most: one less than `mentor.k`.
+pub const FURTHER: usize = 3;
 
 /// The plan of a run that no other test has, in `mode`.
 pub fn plan(mode: &str) -> RunPlan {
@@ -28,8 +30,10 @@ pub fn plan(mode: &str) -> RunPlan {
     // Process ids are at most 2^22, so no run of a user, which draws 64 bits, is likely to meet these.
     let run = u64::from(std::process::id()) << 32 | NEXT.fetch_add(1, Ordering::Relaxed);
     let mode = format!("run.mode={mode}");
-    let overrides = ["run.episodes=9", "run.actors=2", "run.rollout=4", "learner.hidden=[8]", &mode];
-    let overrides = overrides.map(String::from);
+    let small = ["run.episodes=9", "run.actors=2", "run.rollout=4", "learner.hidden=[8]", &mode];
+    // Messages have every part that they can have together.
+    let whole = ["run.algo=ha-diiqn", "exploration.guide_start=0.5", "exploration.guide_whole=true"];
+    let overrides: Vec<String> = small.into_iter().chain(whole).map(String::from).collect();
     let config: Config = config::from_table(&(), config::Table::new(), &overrides).unwrap();
     let spec = EnvSpec {
         name: "test".into(),
@@ -74,7 +78,7 @@ impl MentorHandler for Canned {
         while let Some(part) = Part::take(&mut payload, request.obs_dim as usize) {
             let batch =
                 part.check(&Spaces { actors: ACTORS, row: 2.into(), n_actions: 3 }, &mut wide).unwrap();
-            let mut table = AnnotationTable::new(MENTOR, 2, 3);
+            let mut table = AnnotationTable::new(MENTOR, 2, 3).keeping(FURTHER);
             table.set_estimate(
                 part.actor as usize,
                 &Estimate { action: 1, e_kl: 0.5, start_kl: 0.0, reward: -1.0 },
@@ -82,7 +86,7 @@ impl MentorHandler for Canned {
             let mut answer = Observed::default();
             answer.mentor.extend((0..batch.len()).map(|at| if batch.get(at).action == 0 { 1 } else { NONE }));
             table.encode(part.actor as usize, &mut answer.changed);
-            answer.encode(2, out);
+            answer.encode(table.record_words(), out);
         }
         ObserveAnswer { first_index: request.first_index, ..Default::default() }
     }
