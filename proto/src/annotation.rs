@@ -194,6 +194,11 @@ impl AnnotationTable {
         })
     }
 
+    /// The length of that bridge.
+    pub fn bridge_length(&self, j: usize) -> Option<u32> {
+        (self.l_feas[j] != 0).then_some(self.l_feas[j])
+    }
+
     /// The steps of mentor transition `j`'s bridge after its first one; none where there are none, or they are not known.
     pub fn further(&self, j: usize) -> Option<Further<'_>> {
         let actions = &self.a_further[j * self.further..][..self.further];

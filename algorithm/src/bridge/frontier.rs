@@ -7,42 +7,85 @@ use crate::similarity::metric::kl;
 use crate::states::States;
 use trestle_proto::limits::MAX_BRIDGE_DEPTH;
 
-/// Bits of a mark that hold the level, which is at most [`MAX_BRIDGE_DEPTH`].
-const LEVEL_BITS: u32 = 7;
-const _: () = assert!(MAX_BRIDGE_DEPTH < 1 << LEVEL_BITS);
+const _: () = assert!(MAX_BRIDGE_DEPTH <= u8::MAX as u32);
 
-/// Which states have been seen in the present search, and at which level.
+/// A set of numbers that is soon emptied: one bit for each, so that they stay in the nearest cache.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Marks {
-    /// The number of the search that saw a state last, and in the lowest bits the level.
-    stamps: Vec<u32>,
+    /// The bits of 32 numbers in the lower half, and in the upper half which time they were set for.
+    words: Vec<u64>,
     now: u32,
 }
 
 impl Marks {
-    /// Forgets all marks; states are below `bound`.
+    /// Forgets all marks; numbers are below `bound`.
     pub(super) fn begin(&mut self, bound: usize) {
-        if self.now == u32::MAX >> LEVEL_BITS {
-            self.stamps.fill(0);
+        if self.now == u32::MAX {
+            self.words.fill(0);
             self.now = 0;
         }
         self.now += 1;
-        self.stamps.resize(bound.max(self.stamps.len()), 0);
+        self.words.resize(bound.div_ceil(32).max(self.words.len()), 0);
     }
 
-    /// Marks `id` as seen at `level`, unless it is marked; whether it was not.
+    /// Marks `id`; whether it was not marked before.
+    #[inline]
+    pub(super) fn first_time(&mut self, id: u32) -> bool {
+        let word = &mut self.words[id as usize / 32];
+        let (now, bit) = (u64::from(self.now) << 32, 1 << (id % 32));
+        // Without branches: whether a state is marked is hard to predict.
+        let bits = *word & (0u64.wrapping_sub(u64::from(*word >> 32 == u64::from(self.now)))) | now;
+        *word = bits | bit;
+        bits & bit == 0
+    }
+
+    /// Whether `id` is marked.
+    fn is_marked(&self, id: u32) -> bool {
+        let word = self.words.get(id as usize / 32).copied().unwrap_or(0);
+        word >> 32 == u64::from(self.now) && word >> (id % 32) & 1 == 1
+    }
+}
+
+/// Which states have been seen in the present search, and at which level. Memory: two bytes a state.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Seen {
+    marks: Marks,
+    /// The level of each state that is marked, at most [`MAX_BRIDGE_DEPTH`].
+    levels: Vec<u8>,
+}
+
+impl Seen {
+    /// Forgets all states; they are below `bound`.
+    pub(super) fn begin(&mut self, bound: usize) {
+        self.marks.begin(bound);
+        self.levels.resize(bound.max(self.levels.len()), 0);
+    }
+
+    /// Notes that `id` is seen at `level`, unless it has been seen; whether it had not.
     pub(super) fn first_time(&mut self, id: u32, level: u32) -> bool {
-        let stamp = &mut self.stamps[id as usize];
-        let first = *stamp >> LEVEL_BITS != self.now;
+        let first = self.marks.first_time(id);
         if first {
-            *stamp = self.now << LEVEL_BITS | level;
+            self.levels[id as usize] = level as u8;
         }
         first
     }
 
+    /// The same for the states of `ids`. Puts those that had not been seen into `fresh`, in their order.
+    fn sift(&mut self, ids: &[u32], level: u32, fresh: &mut Vec<u32>) {
+        fresh.clear();
+        fresh.resize(ids.len(), 0);
+        let mut count = 0;
+        for &id in ids {
+            fresh[count] = id;
+            count += usize::from(self.marks.first_time(id));
+        }
+        fresh.truncate(count);
+        fresh.iter().for_each(|&id| self.levels[id as usize] = level as u8);
+    }
+
     /// Whether `id` was seen at `level` first.
     pub(super) fn is_at(&self, id: u32, level: u32) -> bool {
-        self.stamps.get(id as usize) == Some(&(self.now << LEVEL_BITS | level))
+        self.marks.is_marked(id) && u32::from(self.levels[id as usize]) == level
     }
 }
 
@@ -86,6 +129,15 @@ impl Side {
         self.looks += count;
     }
 
+    /// Exhausts the side if the crowds around the states of a `level` alone are more than it may look at: then the next level is
+    /// dropped in any case.
+    pub(super) fn expect(&mut self, graph: &Graph, level: impl Iterator<Item = u32>) {
+        let crowds: usize = level.filter_map(|id| graph.cells.listed(id)).map(|(_, crowd)| crowd).sum();
+        if self.looks + crowds > self.limit {
+            self.looks += crowds;
+        }
+    }
+
     /// States and links looked at.
     pub(super) fn looks(&self) -> u64 {
         self.looks as u64
@@ -97,36 +149,85 @@ impl Side {
     }
 }
 
-/// Calls `visit` with every stored state similar to state `id` while the limit of `side` lasts. Each state in the cells
-/// around it counts, whether or not it has to be looked at.
+/// Fills `fresh` with the stored states similar to state `id` that have not been `seen`, and notes that they are, at `level`. Each state
+/// in the cells around it counts as looked at by `side`, whether or not it has to be.
 pub(super) fn similar(
     graph: &Graph,
     states: &States,
     id: u32,
     path: &Path<'_>,
-    side: &mut Side,
-    mut visit: impl FnMut(u32, &mut Side),
+    (side, seen, level): (&mut Side, &mut Seen, u32),
+    fresh: &mut Vec<u32>,
 ) {
     if let Some((listed, crowd)) = graph.cells.listed(id) {
         side.look(crowd);
-        for &other in listed {
-            if side.exhausted() {
-                return;
-            }
-            visit(other, side);
+        seen.sift(listed, level, fresh);
+        return;
+    }
+    fresh.clear();
+    let centre = states.whitened(id);
+    graph.cells.nearby(centre, |list| {
+        side.look(list.len());
+        // A level beyond the limit is dropped.
+        if !side.exhausted() {
+            let near = |&&other: &&u32| kl(centre, states.whitened(other)) <= path.similarity.e_th();
+            fresh.extend(list.iter().filter(near).filter(|&&other| seen.first_time(other, level)));
         }
+    });
+}
+
+/// Calls `visit` with every stored state similar to state `id`, perhaps more than once.
+pub(super) fn each_similar(
+    graph: &Graph,
+    states: &States,
+    id: u32,
+    path: &Path<'_>,
+    mut visit: impl FnMut(u32),
+) {
+    if let Some((listed, _)) = graph.cells.listed(id) {
+        listed.iter().for_each(|&other| visit(other));
         return;
     }
     let centre = states.whitened(id);
     graph.cells.nearby(centre, |list| {
-        side.look(list.len());
-        for &other in list {
-            if side.exhausted() {
-                return;
-            }
-            if kl(centre, states.whitened(other)) <= path.similarity.e_th() {
-                visit(other, side);
+        let near = |&&other: &&u32| kl(centre, states.whitened(other)) <= path.similarity.e_th();
+        list.iter().filter(near).for_each(|&other| visit(other));
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    proptest! {
+        #[test]
+        fn a_state_is_seen_once_in_a_search(
+            searches in proptest::collection::vec(proptest::collection::vec(0u32..200, 0..60), 1..6),
+            now in prop_oneof![Just(0), u32::MAX - 3..=u32::MAX],
+        ) {
+            let mut seen = Seen { marks: Marks { words: Vec::new(), now }, levels: Vec::new() };
+            let mut fresh = vec![7];
+            for ids in searches {
+                seen.begin(200);
+                let (alone, together) = ids.split_at(ids.len() / 2);
+                let mut expected = BTreeMap::new();
+                for &id in alone {
+                    prop_assert_eq!(seen.first_time(id, id % 3), expected.insert(id, id % 3).is_none());
+                }
+                seen.sift(together, 5, &mut fresh);
+                let mut first = together.to_vec();
+                first.retain(|&id| {
+                    let is_new = !expected.contains_key(&id);
+                    expected.entry(id).or_insert(5);
+                    is_new
+                });
+                prop_assert_eq!(&fresh, &first);
+                for (id, level) in (0..210).flat_map(|id| [0, 1, 2, 5].map(|level| (id, level))) {
+                    prop_assert_eq!(seen.is_at(id, level), expected.get(&id) == Some(&level));
+                }
             }
         }
-    });
+    }
 }

@@ -1,13 +1,14 @@
 //! How far stored states are from the mentor's path: lower bounds, which spare a search all that leads nowhere.
 //!
-//! The mentor's transitions form up to [`GROUPS`] groups, each a stretch of the demonstration. For each stored state and each
-//! group two numbers of steps are kept:
+//! The mentor's transitions form up to [`GROUPS`] groups of transitions that begin near each other. For each stored state and
+//! each group two numbers of steps are kept:
 //!
 //! - *ahead*: no path from the state to where a bridge of the group may end is shorter;
 //! - *behind*: no path to the state from where a bridge of the group may begin is shorter.
 //!
 //! A bridge through the newest transition t has at least as many steps as lie behind its beginning and ahead of its end
-//! together, and t. Mostly that is too many in every group, and there is nothing to search for.
+//! together, and t. Mostly that is too many in every group, and there is nothing to search for. A search that has begun asks
+//! again after each level ([`Outline::is_settled`]): what is left may be too many, or more than its limit lets it look at.
 //!
 //! All this is kept only while searches without it are dear: after [`WINDOW`] transitions whose searches looked at many
 //! states. Every now and then some searches go without it, to see whether they still are. The bridges found are the same with and
@@ -19,8 +20,9 @@
 //! without it. In a crowd, where no lists of similar states are kept ([`super::cells`]), every number is 0.
 
 use super::cells::CROWDED_AT_MOST;
+use super::frontier::Side;
 use super::graph::{Graph, News};
-use super::{Arrival, Path, known};
+use super::{Arrival, Path, known_length};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
@@ -49,33 +51,6 @@ type Steps = [u8; GROUPS];
 /// More steps than any bridge has.
 const FAR: Steps = [u8::MAX; GROUPS];
 
-/// What is known of a state in one direction.
-#[derive(Clone, Debug)]
-struct Label {
-    /// The steps of a path of one step or more.
-    onward: Steps,
-    /// The groups to which the state itself belongs: as bits.
-    here: u32,
-}
-
-impl Label {
-    /// The steps of any path.
-    fn least(&self) -> Steps {
-        let mut least = self.onward;
-        for (g, steps) in least.iter_mut().enumerate() {
-            *steps *= u8::from(self.here >> g & 1 == 0);
-        }
-        least
-    }
-
-    /// Takes into account that a path of `steps` leads on. Whether that is news.
-    fn lower(&mut self, steps: &Steps) -> bool {
-        let is_news = steps.iter().zip(&self.onward).any(|(new, old)| new < old);
-        self.onward.iter_mut().zip(steps).for_each(|(old, new)| *old = (*old).min(*new));
-        is_news
-    }
-}
-
 /// Where the steps of a path are counted to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Way {
@@ -87,12 +62,24 @@ enum Way {
 #[derive(Clone, Debug)]
 struct Labels {
     way: Way,
-    of: Vec<Label>,
-    /// States whose label has been lowered.
+    /// The steps of any path from each state, or to it: 0 for the groups to which the state itself belongs.
+    of: Vec<Steps>,
+    /// States whose numbers have been lowered.
     queue: VecDeque<u32>,
 }
 
-/// The numbers of all stored states. Memory: about 75 bytes a state while they are kept.
+/// The groups of mentor transitions.
+#[derive(Clone, Debug, Default)]
+struct Groups {
+    /// The group of each mentor transition.
+    of: Vec<u8>,
+    /// The mentor transitions, a group's side by side, and where each group begins.
+    members: Vec<u32>,
+    starts: Vec<usize>,
+}
+
+/// The numbers of all stored states. Memory: about 70 bytes a state while they are kept, and 5 a mentor
+/// transition from then on.
 #[derive(Clone, Debug)]
 pub(super) struct Horizon {
     ahead: Labels,
@@ -102,7 +89,7 @@ pub(super) struct Horizon {
     /// Whether the limits must be brought up to date, all of them.
     stale: bool,
     searches: u64,
-    n_transitions: usize,
+    groups: Groups,
     /// Whether the numbers are kept, and whether the present search goes without them.
     is_kept: bool,
     is_ignored: bool,
@@ -115,7 +102,7 @@ pub(super) struct Horizon {
 
 impl Horizon {
     /// Nothing is stored yet.
-    pub(super) fn new(n_transitions: usize) -> Self {
+    pub(super) fn new() -> Self {
         let labels = |way| Labels { way, of: Vec::new(), queue: VecDeque::new() };
         Self {
             ahead: labels(Way::Ahead),
@@ -123,7 +110,7 @@ impl Horizon {
             limits: [0; GROUPS],
             stale: true,
             searches: 0,
-            n_transitions,
+            groups: Groups::default(),
             is_kept: false,
             is_ignored: false,
             expected: None,
@@ -183,19 +170,22 @@ impl Horizon {
     /// Forms the numbers of all stored states.
     pub(super) fn build(&mut self, graph: &Graph, states: &States, path: &Path<'_>) {
         let (mut stack, mut hits) = (Vec::new(), Vec::new());
+        if self.groups.of.is_empty() {
+            self.groups = Groups::new(path);
+        }
         self.give_up();
         (self.is_kept, self.is_ignored, self.expected) = (true, false, None);
         for labels in [&mut self.ahead, &mut self.behind] {
-            labels.of = vec![Label { onward: FAR, here: 0 }; states.bound()];
+            labels.of = vec![FAR; states.bound()];
         }
         for id in graph.states() {
             path.similarity.states(states.whitened(id), &mut stack, &mut hits);
             let here = self.groups(&hits, path);
             for (labels, here) in [&mut self.ahead, &mut self.behind].into_iter().zip(here) {
-                labels.of[id as usize].here = here;
+                labels.of[id as usize] = here;
                 if graph.cells.listed(id).is_none() {
                     labels.give_up(id);
-                } else if here != 0 {
+                } else if here != FAR {
                     labels.queue.push_back(id);
                 }
             }
@@ -207,11 +197,6 @@ impl Horizon {
         let most = path.rule.k as u8;
         self.ahead.settle(most, graph, states, path);
         self.behind.settle(most, graph, states, path);
-    }
-
-    /// The group of mentor transition `j`.
-    fn group(&self, j: usize) -> usize {
-        j * GROUPS.min(self.n_transitions) / self.n_transitions
     }
 
     /// The newest transition has been stored.
@@ -230,7 +215,7 @@ impl Horizon {
         }
         let bound = states.bound();
         for labels in [&mut self.ahead, &mut self.behind] {
-            labels.of.resize(bound.max(labels.of.len()), Label { onward: FAR, here: 0 });
+            labels.of.resize(bound.max(labels.of.len()), FAR);
             graph.cells.dispersed().iter().for_each(|&id| labels.give_up(id));
         }
         for (id, hits) in [(t.from, starts), (t.to, ends)] {
@@ -248,23 +233,30 @@ impl Horizon {
         self.settle(graph, states, path);
     }
 
-    /// Of which groups a bridge may end, and begin, in a state with these `hits`, as bits.
-    fn groups(&self, hits: &[Hit], path: &Path<'_>) -> [u32; 2] {
-        let ends = hits.iter().flat_map(|hit| path.order.behind(hit.state as usize, path.rule.n));
-        let ends = ends.fold(0, |bits, j| bits | 1 << self.group(j));
-        let starts = transitions(hits, path.order).fold(0, |bits, (j, _)| bits | 1 << self.group(j));
+    /// The numbers of a state with these `hits` as such, ahead and behind: 0 for the groups of which a bridge may end there, and
+    /// begin there.
+    fn groups(&self, hits: &[Hit], path: &Path<'_>) -> [Steps; 2] {
+        let (mut ends, mut starts) = (FAR, FAR);
+        for hit in hits {
+            path.order.behind(hit.state as usize, path.rule.n).for_each(|j| ends[self.groups.group(j)] = 0);
+        }
+        transitions(hits, path.order).for_each(|(j, _)| starts[self.groups.group(j)] = 0);
         [ends, starts]
     }
 
-    /// Whether a bridge through t may be of use.
-    pub(super) fn promises(&mut self, new: &Arrival<'_>, path: &Path<'_>, table: &AnnotationTable) -> bool {
+    /// What is known of the bridges through t before a search: nothing while no numbers are kept.
+    pub(super) fn outline(
+        &mut self,
+        new: &Arrival<'_>,
+        path: &Path<'_>,
+        table: &AnnotationTable,
+    ) -> Option<Outline> {
         if !self.is_kept || self.is_ignored {
-            return true;
+            return None;
         }
         self.refresh(path, table);
-        let (ahead, behind) =
-            (self.ahead.of[new.t.to as usize].least(), self.behind.of[new.t.from as usize].least());
-        (0..GROUPS).any(|g| ahead[g] < self.limits[g].saturating_sub(behind[g]))
+        let [ahead, behind] = [self.ahead.of[new.t.to as usize], self.behind.of[new.t.from as usize]];
+        Some(Outline { ahead, behind, limits: self.limits })
     }
 
     /// Whether the numbers are kept.
@@ -275,7 +267,7 @@ impl Horizon {
 
     /// Brings limits up to date: one after the other, or all where they may have risen.
     fn refresh(&mut self, path: &Path<'_>, table: &AnnotationTable) {
-        let groups = GROUPS.min(self.n_transitions);
+        let groups = self.groups.starts.len();
         let due = match self.searches % REFRESH {
             _ if self.stale => 0..groups,
             0 => {
@@ -287,13 +279,13 @@ impl Horizon {
         self.searches += 1;
         self.stale = false;
         for g in due {
-            let first = |g: usize| (g * self.n_transitions).div_ceil(groups);
-            let useful = |j: usize| {
+            let useful = |&j: &u32| {
+                let j = j as usize;
                 let open = table.errors()[j] >= path.rule.e_infeas;
-                let most = known(table, j, &path.rule).map_or(path.rule.k as u32, |known| known.length);
+                let most = known_length(table, j, &path.rule).unwrap_or(path.rule.k as u32);
                 if open { most as u8 } else { 0 }
             };
-            self.limits[g] = (first(g)..first(g + 1)).map(useful).max().unwrap_or(0);
+            self.limits[g] = self.groups.members(g).iter().map(useful).max().unwrap_or(0);
         }
     }
 }
@@ -301,27 +293,26 @@ impl Horizon {
 impl Labels {
     /// State `id` is in a crowd.
     fn give_up(&mut self, id: u32) {
-        self.of[id as usize].onward = [0; GROUPS];
+        self.of[id as usize] = [0; GROUPS];
         self.queue.push_back(id);
     }
 
-    /// State `id` has come up, which belongs to the groups `here` itself.
-    fn meet(&mut self, id: u32, here: u32, graph: &Graph, states: &States, path: &Path<'_>) {
-        let mut label = Label { onward: FAR, here };
+    /// State `id` has come up, with the numbers `here` as such.
+    fn meet(&mut self, id: u32, here: Steps, graph: &Graph, states: &States, path: &Path<'_>) {
+        let mut own = here;
         if graph.cells.listed(id).is_none() {
-            label.onward = [0; GROUPS];
-            self.of[id as usize] = label;
+            self.of[id as usize] = [0; GROUPS];
             return;
         }
         let (of, way) = (&self.of, self.way);
         around(id, graph, states, path, |z| {
-            let mut link = |next: u32| _ = label.lower(&further(&of[next as usize], u8::MAX));
+            let mut link = |next: u32| _ = lower(&mut own, &further(&of[next as usize], u8::MAX));
             match way {
                 Way::Ahead => graph.outgoing(z).for_each(|l| link(l.to)),
                 Way::Behind => graph.incoming(z).for_each(|l| link(l.from)),
             }
         });
-        self.of[id as usize] = label;
+        self.of[id as usize] = own;
     }
 
     /// A step leads from state `id` on to state `next`. Numbers of `most` steps and more do not matter.
@@ -329,7 +320,7 @@ impl Labels {
         let steps = further(&self.of[next as usize], most);
         let Self { of, queue, .. } = self;
         around(id, graph, states, path, |x| {
-            if of[x as usize].lower(&steps) {
+            if lower(&mut of[x as usize], &steps) {
                 queue.push_back(x);
             }
         });
@@ -350,16 +341,86 @@ impl Labels {
     }
 }
 
-/// One step more than `label` says; [`FAR`] where that is `most` or more.
-fn further(label: &Label, most: u8) -> Steps {
-    let mut steps = label.least();
-    for step in &mut steps {
-        *step = step.saturating_add(1);
-        if *step >= most {
-            *step = u8::MAX;
+/// One step more than `steps`; [`FAR`] where that is `most` or more.
+fn further(steps: &Steps, most: u8) -> Steps {
+    let mut more = *steps;
+    for steps in &mut more {
+        *steps = steps.saturating_add(1);
+        if *steps >= most {
+            *steps = u8::MAX;
         }
     }
-    steps
+    more
+}
+
+/// Takes into account that a path of so many `steps` leads on from a state with numbers `known`. Whether that is news.
+fn lower(known: &mut Steps, steps: &Steps) -> bool {
+    // Without a branch for each number.
+    let before = *known;
+    for (known, steps) in known.iter_mut().zip(steps) {
+        *known = (*known).min(*steps);
+    }
+    before != *known
+}
+
+impl Groups {
+    /// The groups of all mentor transitions: stretches of equal length in an order in which near ones stand together.
+    fn new(path: &Path<'_>) -> Self {
+        let near = path.similarity.near_together();
+        let members: Vec<u32> = near.filter_map(|m| path.order.transition_of(m)).map(|j| j as u32).collect();
+        let groups = GROUPS.min(members.len());
+        let starts = (0..groups).map(|g| (g * members.len()).div_ceil(groups)).collect();
+        let mut of = vec![0; members.len()];
+        for (place, &j) in members.iter().enumerate() {
+            of[j as usize] = (place * groups / members.len()) as u8;
+        }
+        Self { of, members, starts }
+    }
+
+    /// The group of mentor transition `j`.
+    fn group(&self, j: usize) -> usize {
+        usize::from(self.of[j])
+    }
+
+    /// The mentor transitions of group `g`.
+    fn members(&self, g: usize) -> &[u32] {
+        let end = self.starts.get(g + 1).copied().unwrap_or(self.members.len());
+        &self.members[self.starts[g]..end]
+    }
+}
+
+/// Lower bounds for the bridges through the newest transition t, group by group.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outline {
+    /// The fewest steps after t.
+    ahead: Steps,
+    /// The fewest steps before t.
+    behind: Steps,
+    /// The most steps of a bridge that is of use.
+    limits: Steps,
+}
+
+impl Outline {
+    /// Whether a bridge through t may be of use.
+    pub(super) fn promises(&self) -> bool {
+        (0..GROUPS).any(|g| self.ahead[g] < self.limits[g].saturating_sub(self.behind[g]))
+    }
+
+    /// Whether no further level can add a bridge that is of use to those which all levels so far make up.
+    pub(super) fn is_settled(&self, ahead: &Side, behind: &Side) -> bool {
+        // The fewest steps on a level that has not been looked at, and the most on one that may come.
+        let next = |side: &Side| if side.open { side.steps as u8 + 1 } else { u8::MAX };
+        let last = |side: &Side| if side.open { u8::MAX } else { side.steps as u8 };
+        let ([next_ahead, next_behind], [last_ahead, last_behind]) =
+            ([next(ahead), next(behind)], [last(ahead), last(behind)]);
+        !(0..GROUPS).any(|g| {
+            let (before, after, most) = (self.behind[g], self.ahead[g], self.limits[g]);
+            let fits = |before: u8, after: u8| before.saturating_add(after) < most;
+            before <= last_behind
+                && after <= last_ahead
+                && (fits(before, after.max(next_ahead)) || fits(before.max(next_behind), after))
+        })
+    }
 }
 
 /// Calls `visit` with every stored state that is similar to state `id` and not in a crowd, and perhaps with others that are.
@@ -379,4 +440,71 @@ fn around(id: u32, graph: &Graph, states: &States, path: &Path<'_>, mut visit: i
             }
         }
     });
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::bridge::BridgeRule;
+    use crate::demonstration::Demonstration;
+    use crate::similarity::Similarity;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn groups_part_the_mentor_transitions(places in proptest::collection::vec(-5i8..6, 2..200)) {
+            let mut demo = Demonstration::new(vec!["x".into()]).unwrap();
+            for part in places.chunks(7).filter(|part| part.len() > 1) {
+                let states: Vec<f32> = part.iter().map(|&x| f32::from(x)).collect();
+                demo.push_trajectory(&states, false).unwrap();
+            }
+            let (order, count) = (demo.order(), demo.n_transitions());
+            let similarity = Similarity::new(demo.states().to_vec(), 1, 0.1);
+            let rule = BridgeRule { k: 3, n: 1, e_infeas: 0.1 };
+            let groups = Groups::new(&Path { rule, order: &order, similarity: &similarity });
+            prop_assert_eq!(groups.starts.len(), GROUPS.min(count));
+            let mut members: Vec<u32> = Vec::new();
+            for g in 0..groups.starts.len() {
+                let (size, even) = (groups.members(g).len(), count / groups.starts.len());
+                prop_assert!((even..=even + 1).contains(&size));
+                prop_assert!(groups.members(g).iter().all(|&j| groups.group(j as usize) == g));
+                members.extend(groups.members(g));
+            }
+            members.sort_unstable();
+            prop_assert_eq!(members, (0..count as u32).collect::<Vec<_>>());
+        }
+
+        /// Whether some bridge of use has a step on a level that has not been looked at: all numbers of steps are tried.
+        #[test]
+        fn what_is_settled_needs_no_further_level(
+            bounds in proptest::collection::vec((0u8..6, 0u8..6, 0u8..8), 1..3),
+            ahead in (0usize..5, any::<bool>()),
+            behind in (0usize..5, any::<bool>()),
+        ) {
+            let mut outline = Outline { ahead: FAR, behind: FAR, limits: [0; GROUPS] };
+            for (g, &(after, before, most)) in bounds.iter().enumerate() {
+                (outline.ahead[g], outline.behind[g], outline.limits[g]) = (after, before, most);
+            }
+            let [ahead, behind] = [ahead, behind].map(|(steps, open)| {
+                let mut side = Side::new(open, 0);
+                side.steps = steps;
+                side
+            });
+            let comes = |side: &Side, steps: usize| side.open || steps <= side.steps;
+            let needs_more = |&(after, before, most): &(u8, u8, u8)| {
+                (usize::from(after)..20).any(|q| {
+                    (usize::from(before)..20).any(|p| {
+                        p + 1 + q <= usize::from(most)
+                            && comes(&ahead, q)
+                            && comes(&behind, p)
+                            && (q > ahead.steps || p > behind.steps)
+                    })
+                })
+            };
+            prop_assert_eq!(outline.is_settled(&ahead, &behind), !bounds.iter().any(needs_more));
+            let promises = bounds.iter().any(|&(after, before, most)| after + before < most);
+            prop_assert_eq!(outline.promises(), promises);
+        }
+    }
 }

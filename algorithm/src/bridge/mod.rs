@@ -137,6 +137,11 @@ fn known<'a>(table: &'a AnnotationTable, j: usize, rule: &BridgeRule) -> Option<
     table.bridge(j).filter(|known| known.length as usize <= rule.k)
 }
 
+/// The length of the bridge of mentor transition `j`, if it counts.
+fn known_length(table: &AnnotationTable, j: usize, rule: &BridgeRule) -> Option<u32> {
+    table.bridge_length(j).filter(|&length| length as usize <= rule.k)
+}
+
 /// Makes `found`, in which the newest transition has this `place`, the bridge of mentor transition `j` if it is better
 /// than the known one. Returns whether it was.
 fn improve(table: &mut AnnotationTable, j: usize, found: &Bridge<'_>, place: Place) -> bool {

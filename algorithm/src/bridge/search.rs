@@ -11,24 +11,30 @@
 //! over before it begins. Otherwise each level keeps the states from which a wanted bridge is still within reach, until
 //! every wanted one has been found or is out of reach. Of two levels the one with fewer states to expand comes first.
 //!
-//! With a large demonstration many mentor transitions have no bridge, and distances rule few of them out. Then, rather than
-//! to name them all, a *survey* goes through what lies around t, whatever it may lead to, as long as that is little. It is over
-//! as soon as no beginning that it has met, or may still meet, has an end within its steps. Where it is much, those that are
-//! wanted are named after all. Both find the same.
+//! With a large demonstration many mentor transitions have no bridge, and distances rule few of them out. They are not all
+//! named:
 //!
-//! Before anything else `horizon` is asked whether a bridge can lead through t at all.
+//! - A *survey* goes through what lies around t, whatever it may lead to, as long as that is little. It is over as soon as no
+//!   beginning that it has met, or may still meet, has an end within its steps.
+//! - Where it is much, a *sample* of the wanted is named. What a search does next depends on whether some wanted transition has no
+//!   beginning yet, and whether some has no end, and on their goals if these are few. More than [`FEW`] of both kinds decide as all
+//!   would. As levels are looked at, entries of the sample are done with, and another is drawn. At last those that are still open
+//!   are few, or have been met, and can all be named.
+//!
+//! Before anything else `horizon` is asked whether a bridge can lead through t at all. A search that goes on asks after each level
+//! whether a further one could still add a bridge, and needs no survey. With and without all this the same bridges are found.
 //!
 //! The contents of a level depend on the stored transitions alone, not on the order in which the graph keeps them. A search that
 //! has looked at [`MAX_LOOKS`] states and links in one direction drops its present level as a whole, and goes no further that way. So
 //! this choice, too, depends on the stored transitions alone.
 
-use super::frontier::{Marks, Side, Step, similar};
+use super::frontier::{Seen, Side, Step, similar};
 use super::graph::{Graph, News};
 use super::horizon::Horizon;
 use super::outlook::{Outlook, Stock};
 use super::trace::{self, Levels, Trail};
-use super::wanted::{Goal, Newest, Reach, Scratch, Wanted, backward_goals, forward_goals};
-use super::{Arrival, NEVER, Path, Place, improve, known};
+use super::wanted::{Goal, Newest, Reach, Scratch, Tally, Wanted, backward_goals, forward_goals};
+use super::{Arrival, NEVER, Path, Place, improve, known_length};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
@@ -37,6 +43,8 @@ use trestle_proto::annotation::{AnnotationTable, Bridge};
 
 /// Wanted transitions from which on a survey takes the place of naming them all.
 const MANY: usize = 16;
+/// Wanted transitions that are named, unless it takes all to decide what a search does next.
+const SAMPLE: usize = 96;
 /// States and links that a survey looks at in each direction, at most.
 const SURVEY: usize = 1 << 14;
 /// States and links that a search looks at in each direction, at most. Beyond the limit bridges may be missed, or longer
@@ -81,8 +89,10 @@ enum Beside {
 pub struct Search {
     /// [`MAX_LOOKS`], but for tests.
     pub(crate) limit: usize,
-    /// [`MANY`], but for tests.
+    /// [`MANY`], [`SAMPLE`] and [`FEW`], but for tests.
     pub(crate) many: usize,
+    pub(crate) sample: usize,
+    pub(crate) few: usize,
     outlook: Outlook,
     pub(super) horizon: Horizon,
     collecting: Scratch,
@@ -93,15 +103,17 @@ pub struct Search {
     ends: Ends,
     starts: Starts,
     /// Forward: the states reached; the states among them from which a path may go on; the states that its steps leave.
-    reached: Marks,
-    continued: Marks,
-    onward: Marks,
+    reached: Seen,
+    continued: Seen,
+    onward: Seen,
     level: Vec<u32>,
     next_level: Vec<u32>,
     next_reached: Vec<u32>,
     /// Backward: states from which a path comes in; states that its steps leave from.
-    entered: Marks,
-    left: Marks,
+    entered: Seen,
+    left: Seen,
+    /// The states that the state at hand adds to those that have been marked.
+    fresh: Vec<u32>,
     back: Vec<(u32, Step)>,
     next_back: Vec<(u32, Step)>,
     /// Position of a state in `next_back`, where it is there.
@@ -111,8 +123,6 @@ pub struct Search {
     /// The steps of a bridge that has been found.
     trail: Trail,
     stack: Vec<u32>,
-    /// The mentor states similar to a state on the way.
-    hits: Vec<Hit>,
     cut_short: u64,
 }
 
@@ -123,8 +133,10 @@ impl Search {
         Self {
             limit: MAX_LOOKS,
             many: MANY,
+            sample: SAMPLE,
+            few: FEW,
             outlook: Outlook::new(mentor_states),
-            horizon: Horizon::new(mentor_transitions),
+            horizon: Horizon::new(),
             collecting: Scratch::default(),
             wanted: Vec::new(),
             goals: Vec::new(),
@@ -141,11 +153,12 @@ impl Search {
                 touched: Vec::new(),
                 left: 0,
             },
-            reached: Marks::default(),
-            continued: Marks::default(),
-            onward: Marks::default(),
-            entered: Marks::default(),
-            left: Marks::default(),
+            reached: Seen::default(),
+            continued: Seen::default(),
+            onward: Seen::default(),
+            entered: Seen::default(),
+            left: Seen::default(),
+            fresh: Vec::new(),
             level: Vec::new(),
             next_level: Vec::new(),
             next_reached: Vec::new(),
@@ -155,7 +168,6 @@ impl Search {
             beside: Vec::new(),
             trail: Trail::default(),
             stack: Vec::new(),
-            hits: Vec::new(),
             cut_short: 0,
         }
     }
@@ -205,24 +217,44 @@ impl Search {
         if new.news == News::Nothing {
             return true;
         }
-        if !self.horizon.promises(new, path, table) {
+        let outline = self.horizon.outline(new, path, table);
+        if outline.is_some_and(|outline| !outline.promises()) {
             return true;
         }
         let reach = Reach::new(path.similarity.e_th(), graph.strides.longest());
-        if !self.collect(new, path, &reach, self.many, table) {
+        let mut ahead = Side::new(!t.ends_episode(), self.limit);
+        let mut behind = Side::new(new.news == News::Link, self.limit);
+        // An outline ends a search as early as a survey would.
+        let most = if outline.is_some() { self.sample } else { self.many };
+        let mut all = self.collect(new, path, &reach, most, table, None);
+        if !all && outline.is_none() {
             if self.survey(new, path, table, &mut improved) {
                 return true;
             }
-            self.collect(new, path, &reach, usize::MAX, table);
+            all = self.collect(new, path, &reach, self.sample, table, None);
         }
         self.horizon.looked(self.wanted.len() as u64);
         if self.wanted.is_empty() {
             return true;
         }
-        let mut ahead = Side::new(!t.ends_episode(), self.limit);
-        let mut behind = Side::new(new.news == News::Link, self.limit);
         self.begin(new);
-        while self.choose(&ahead, &behind, path) {
+        if all {
+            let first = Step { action: t.action, reward: t.reward, to: t.to };
+            for w in self.wanted.iter().filter(|w| w.started) {
+                self.starts.note(w.j, 0, first, new.states);
+            }
+        } else {
+            self.meet(new, path, table);
+        }
+        while !outline.is_some_and(|outline| outline.is_settled(&ahead, &behind)) {
+            let Self { wanted, starts, ends, .. } = self;
+            wanted.retain_mut(|w| w.is_open(starts, ends, [&ahead, &behind], path));
+            if !all && !Tally::of(&self.wanted).is_more_than(self.few) {
+                all = self.collect(new, path, &reach, self.few, table, Some([&ahead, &behind]));
+            }
+            if self.wanted.is_empty() {
+                break;
+            }
             let (forward, backward) =
                 (self.wanted.iter().any(|w| !w.ended), self.wanted.iter().any(|w| !w.started));
             // Nothing has been marked before the first level.
@@ -244,8 +276,9 @@ impl Search {
         !cut_short
     }
 
-    /// Names the mentor transitions whose bridge a path through t could improve. False, and of no use, if they are more than
-    /// `most`.
+    /// Names the mentor transitions whose bridge a path through t could improve; with `sides`, those that are still open. False
+    /// if that is more than enough: then some of them are missing. Enough are more than `most` of which no beginning has been
+    /// found, or all of them, and more than `most` of which no end has been found, or all of them.
     fn collect(
         &mut self,
         new: &Arrival<'_>,
@@ -253,9 +286,10 @@ impl Search {
         reach: &Reach,
         most: usize,
         table: &AnnotationTable,
+        sides: Option<[&Side; 2]>,
     ) -> bool {
         let Arrival { states, t, graph, oldest, starts, ends, .. } = *new;
-        let Self { outlook, collecting, wanted, .. } = self;
+        let Self { outlook, collecting, wanted, starts: begun, ends: ended, .. } = self;
         let newest = Newest {
             from: states.whitened(t.from),
             to: states.whitened(t.to),
@@ -265,9 +299,24 @@ impl Search {
             path,
             stock: Stock { states, graph, oldest },
             reach: *reach,
+            table,
+            levels: sides.map_or([0; 2], |sides| sides.map(|side| side.steps as u32)),
         };
-        newest.collect_near(table, outlook, collecting, wanted);
-        newest.collect_far(table, outlook, collecting, most, wanted)
+        let mut keep = |w: &mut Wanted| sides.is_none_or(|sides| w.is_open(begun, ended, sides, path));
+        newest.collect_near(outlook, collecting, wanted, &mut keep);
+        let met = begun.touched.iter().map(|&j| j as usize);
+        let is_enough = |tally: Tally| tally.is_more_than(most);
+        if !newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough) {
+            return false;
+        }
+        let met = ended.touched.iter().flat_map(|&m| path.order.behind(m as usize, path.rule.n));
+        if newest.is_only_met() {
+            // All without an end have been named.
+            let is_enough = |tally: Tally| tally.not_started > most;
+            return newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough);
+        }
+        newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough)
+            && newest.collect_far(outlook, collecting, most, wanted, &mut keep)
     }
 
     /// Goes through all that lies around t, and improves `table`. False if that is too much: then nothing has changed.
@@ -285,10 +334,7 @@ impl Search {
         self.wanted.clear();
         self.begin(new);
         self.mark(new);
-        let first = Step { action: t.action, reward: t.reward, to: t.to };
-        for (j, _) in transitions(new.starts, path.order) {
-            self.starts.meet(j, 0, first, (table, path), new.states);
-        }
+        self.meet(new, path, table);
         while !ahead.exhausted() && !behind.exhausted() {
             let next = [&ahead, &behind].map(|side| if side.open { side.steps as u32 + 1 } else { NEVER });
             // A beginning p steps before t and an end q steps after it make p + 1 + q.
@@ -320,8 +366,13 @@ impl Search {
         let first = Step { action: t.action, reward: t.reward, to: t.to };
         self.back.clear();
         self.back.push((t.from, first));
-        for w in self.wanted.iter().filter(|w| w.started) {
-            self.starts.note(w.j, 0, first, new.states);
+    }
+
+    /// Notes t as the first step from where it begins.
+    fn meet(&mut self, new: &Arrival<'_>, path: &Path<'_>, table: &AnnotationTable) {
+        let first = Step { action: new.t.action, reward: new.t.reward, to: new.t.to };
+        for (j, _) in transitions(new.starts, path.order) {
+            self.starts.meet(j, 0, first, (table, path), new.states);
         }
     }
 
@@ -336,43 +387,27 @@ impl Search {
         self.left.first_time(t.from, 0);
     }
 
-    /// Brings `wanted` up to date with the findings of both sides, and drops entries that are found or out of reach.
-    /// Returns whether any is left.
-    fn choose(&mut self, ahead: &Side, behind: &Side, path: &Path<'_>) -> bool {
-        let Self { wanted, starts, ends, .. } = self;
-        wanted.retain_mut(|w| {
-            let found = starts.steps[w.j as usize];
-            w.started = found != NEVER;
-            w.before = if w.started { found } else { w.before.max(behind.steps as u32 + 1) };
-            let ahead_of = path.order.ahead(w.j as usize, path.rule.n);
-            let found = ahead_of.map(|m| ends.steps[m]).min().unwrap_or(NEVER);
-            w.ended = found != NEVER;
-            w.after = if w.ended { found } else { w.after.max(ahead.steps as u32 + 1) };
-            let open = (w.started || behind.open) && (w.ended || ahead.open);
-            !(w.started && w.ended) && open && w.is_possible()
-        });
-        !wanted.is_empty()
-    }
-
     /// The next level of states after t: with `reach` those from which a wanted bridge is within it.
     fn forward(&mut self, new: &Arrival<'_>, side: &mut Side, path: &Path<'_>, reach: Option<&Reach>) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, ends, beside, stack, hits, .. } = self;
+        let Self { goals, limits, wanted, ends, beside, stack, few: most, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
-            let few = forward_goals(wanted, path, reach, FEW, goals);
+            let few = forward_goals(wanted, path, reach, *most, goals);
             limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
             few
         });
-        let Self { reached, continued, onward, level, next_level, next_reached, .. } = self;
+        let Self { reached, continued, onward, fresh, level, next_level, next_reached, .. } = self;
         next_level.clear();
         next_reached.clear();
+        side.expect(graph, level.iter().copied());
         for &y in level.iter() {
-            similar(graph, states, y, path, side, |z, side| {
-                if !onward.first_time(z, next) {
-                    return;
-                }
+            if side.exhausted() {
+                break;
+            }
+            similar(graph, states, y, path, (side, onward, next), fresh);
+            for &z in fresh.iter() {
                 side.look(graph.outgoing(z).len());
                 for link in graph.outgoing(z) {
                     if reached.first_time(link.to, next) {
@@ -385,7 +420,7 @@ impl Search {
                         next_level.push(link.to);
                     }
                 }
-            });
+            }
         }
         side.steps += 1;
         side.open = !side.exhausted() && !next_level.is_empty();
@@ -395,11 +430,10 @@ impl Search {
         for &id in next_reached.iter() {
             let state = states.whitened(id);
             if few {
-                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), |hit| ends.note(&hit, next));
             } else {
-                beside[id as usize].hits(state, path, stack, hits);
+                beside[id as usize].hits(state, path, stack, |hit| ends.note(&hit, next));
             }
-            hits.iter().for_each(|hit| ends.note(hit, next));
         }
         std::mem::swap(level, next_level);
     }
@@ -415,20 +449,22 @@ impl Search {
     ) {
         let Arrival { states, graph, .. } = *new;
         let next = side.steps as u32 + 1;
-        let Self { goals, limits, wanted, starts, beside, stack, hits, .. } = self;
+        let Self { goals, limits, wanted, starts, beside, stack, few: most, .. } = self;
         limits.clear();
         let few = reach.is_some_and(|reach| {
-            let few = backward_goals(wanted, path, reach, FEW, goals);
+            let few = backward_goals(wanted, path, reach, *most, goals);
             limits.extend(goals.iter().filter_map(|goal| Some((goal.m, goal.limit(next, reach)?))));
             few
         });
-        let Self { entered, left, back, next_back, slots, .. } = self;
+        let Self { entered, left, fresh, back, next_back, slots, .. } = self;
         next_back.clear();
+        side.expect(graph, back.iter().map(|&(z, _)| z));
         for &(z, _) in back.iter() {
-            similar(graph, states, z, path, side, |y, side| {
-                if !entered.first_time(y, next) {
-                    return;
-                }
+            if side.exhausted() {
+                break;
+            }
+            similar(graph, states, z, path, (side, entered, next), fresh);
+            for &y in fresh.iter() {
                 side.look(graph.incoming(y).len());
                 for link in graph.incoming(y) {
                     let Some((action, reward)) = link.best_continuing() else { continue };
@@ -443,7 +479,7 @@ impl Search {
                         *known = first;
                     }
                 }
-            });
+            }
         }
         side.steps += 1;
         side.open = !side.exhausted();
@@ -452,13 +488,15 @@ impl Search {
         }
         for &(id, first) in next_back.iter() {
             let state = states.whitened(id);
+            let meet = |hit: Hit| {
+                if let Some(j) = path.order.transition_of(hit.state as usize) {
+                    starts.meet(j, next, first, (table, path), states);
+                }
+            };
             if few {
-                path.similarity.among(state, goals.iter().map(|goal| goal.m), hits);
+                path.similarity.among(state, goals.iter().map(|goal| goal.m), meet);
             } else {
-                beside[id as usize].hits(state, path, stack, hits);
-            }
-            for (j, _) in transitions(hits, path.order) {
-                starts.meet(j, next, first, (table, path), states);
+                beside[id as usize].hits(state, path, stack, meet);
             }
         }
         next_back.retain(|&(id, _)| !few || within(states.whitened(id), limits, path));
@@ -515,15 +553,38 @@ impl Search {
     }
 }
 
+impl Wanted {
+    /// Brings this entry up to date with what the sides, ahead and behind, have found. False if it is complete, or out of reach.
+    fn is_open(
+        &mut self,
+        starts: &Starts,
+        ends: &Ends,
+        [ahead, behind]: [&Side; 2],
+        path: &Path<'_>,
+    ) -> bool {
+        let found = starts.steps[self.j as usize];
+        self.started = found != NEVER;
+        self.before = if self.started { found } else { self.before.max(behind.steps as u32 + 1) };
+        let found =
+            path.order.ahead(self.j as usize, path.rule.n).map(|m| ends.steps[m]).min().unwrap_or(NEVER);
+        self.ended = found != NEVER;
+        self.after = if self.ended { found } else { self.after.max(ahead.steps as u32 + 1) };
+        let open = (self.started || behind.open) && (self.ended || ahead.open);
+        !(self.started && self.ended) && open && self.is_possible()
+    }
+}
+
 impl Beside {
-    /// Fills `hits` with the mentor states similar to `state`, of which this is the entry.
-    fn hits(&mut self, state: &[f32], path: &Path<'_>, stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
+    /// Calls `visit` with the mentor states similar to `state`, of which this is the entry.
+    fn hits(&mut self, state: &[f32], path: &Path<'_>, stack: &mut Vec<u32>, mut visit: impl FnMut(Hit)) {
         if *self == Self::Nothing {
-            hits.clear();
             return;
         }
-        path.similarity.states(state, stack, hits);
-        *self = if hits.is_empty() { Self::Nothing } else { Self::Something };
+        *self = Self::Nothing;
+        path.similarity.each(state, stack, |hit| {
+            *self = Self::Something;
+            visit(hit);
+        });
     }
 }
 
@@ -562,7 +623,7 @@ impl Starts {
         if table.errors()[j] < path.rule.e_infeas {
             return;
         }
-        let most = known(table, j, &path.rule).map_or(path.rule.k as u32, |known| known.length);
+        let most = known_length(table, j, &path.rule).unwrap_or(path.rule.k as u32);
         if steps < most {
             self.left = self.left.max(most - steps);
             self.note(j as u32, steps, first, states);

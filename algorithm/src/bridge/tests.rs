@@ -38,6 +38,8 @@ struct World {
     capacity: usize,
     /// Whether everything around a transition is surveyed, however few mentor transitions are wanted.
     surveyed: bool,
+    /// More wanted mentor transitions than these stand for all.
+    few: usize,
     /// Whether horizons are kept, and states in a cell that is not yet crowded, at most.
     kept: bool,
     crowd: usize,
@@ -59,12 +61,53 @@ fn worlds() -> impl Strategy<Value = World> {
     ];
     let jitter = prop_oneof![2 => Just(0.0f32), 1 => 0.01f32..0.4];
     let scale = (shape, 1usize..5, 1usize..4, prop_oneof![1usize..12, 30usize..80]);
-    let search = (any::<bool>(), any::<bool>(), prop_oneof![1usize..4, Just(64)]);
+    let few = prop_oneof![Just(32), 0usize..3];
+    let search = (any::<bool>(), few, any::<bool>(), prop_oneof![1usize..4, Just(64)]);
     (mentor, moves, 2i8..5, features, jitter, scale, search).prop_map(
-        |(mentor, moves, side, features, jitter, ((step, e_th), k, n, capacity), (surveyed, kept, crowd))| {
-            World { mentor, moves, side, step, e_th, features, jitter, k, n, capacity, surveyed, kept, crowd }
+        |(
+            mentor,
+            moves,
+            side,
+            features,
+            jitter,
+            ((step, e_th), k, n, capacity),
+            (surveyed, few, kept, crowd),
+        )| {
+            World {
+                mentor,
+                moves,
+                side,
+                step,
+                e_th,
+                features,
+                jitter,
+                k,
+                n,
+                capacity,
+                surveyed,
+                few,
+                kept,
+                crowd,
+            }
         },
     )
+}
+
+/// The same in numbers.
+struct Step {
+    actor: u32,
+    from: Vec<f32>,
+    to: Vec<f32>,
+    action: u32,
+    reward: f32,
+    flags: u32,
+}
+
+impl Step {
+    fn transition(&self) -> Transition<'_> {
+        let Self { from, to, action, reward, flags, .. } = self;
+        Transition { obs: from, next_obs: to, action: *action, reward: *reward, flags: *flags }
+    }
 }
 
 impl World {
@@ -76,6 +119,35 @@ impl World {
             demo.push_trajectory(&states, false).unwrap();
         }
         demo
+    }
+
+    /// What the observer does, in order.
+    fn steps(&self) -> Vec<Step> {
+        let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
+        let mut fresh = [true; 3];
+        // How often each actor has moved on: its s is the s' before, jitter and all.
+        let mut nth = [1u64, 1 << 20, 1 << 30];
+        let step = |&(actor, heading, reward, end, jump): &Move| {
+            let a = actor as usize;
+            if jump {
+                // Without a flag: the history must notice by itself.
+                places[a] = (places[a].1, places[a].0);
+            }
+            let (dx, dy) = [(1, 0), (0, 1), (-1, 0), (0, -1)][heading as usize];
+            let inside = |x: i8| x.clamp(0, self.side - 1);
+            let next = (inside(places[a].0 + dx), inside(places[a].1 + dy));
+            let flags = match end {
+                0 => TERMINATED,
+                1 => TRUNCATED,
+                _ => 0,
+            } | if fresh[a] { FIRST } else { 0 };
+            let (from, to) = (self.place(places[a], nth[a]), self.place(next, nth[a] + 1));
+            nth[a] += 1;
+            fresh[a] = end < 2;
+            places[a] = if end < 2 { (0, 0) } else { next };
+            Step { actor, from, to, action: u32::from(heading), reward: f32::from(reward), flags }
+        };
+        self.moves.iter().map(step).collect()
     }
 
     /// The state in cell (x, y) for the `nth` time: jitter depends on that number.
@@ -353,6 +425,7 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     if world.surveyed {
         bench.search.many = 0;
     }
+    (bench.search.sample, bench.search.few) = (world.few, world.few);
     if let Some(graph) = &mut bench.graph {
         graph.cells.crowded = world.crowd;
     }
@@ -360,40 +433,12 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
     let discrete = whole && world.jitter == 0.0 && world.step * world.step > 2.0 * world.e_th;
     // Of each mentor transition.
     let mut ever: Vec<Option<Ever>> = vec![None; order.n_transitions()];
-    let mut places = [(0i8, 0i8), (1, 0), (0, 1)];
-    let mut fresh = [true; 3];
-    // How often each actor has moved on: its s is the s' before, jitter and all.
-    let mut nth = [1u64, 1 << 20, 1 << 30];
-    for (i, &(actor, heading, reward, end, jump)) in world.moves.iter().enumerate() {
-        let a = actor as usize;
-        if jump {
-            // Without a flag: the history must notice by itself.
-            places[a] = (places[a].1, places[a].0);
-        }
-        let (dx, dy) = [(1, 0), (0, 1), (-1, 0), (0, -1)][heading as usize];
-        let inside = |x: i8| x.clamp(0, world.side - 1);
-        let next = (inside(places[a].0 + dx), inside(places[a].1 + dy));
-        let flags = match end {
-            0 => TERMINATED,
-            1 => TRUNCATED,
-            _ => 0,
-        } | if fresh[a] { FIRST } else { 0 };
-        let (from, to) = (world.place(places[a], nth[a]), world.place(next, nth[a] + 1));
-        nth[a] += 1;
-        let t = Transition {
-            obs: &from,
-            next_obs: &to,
-            action: u32::from(heading),
-            reward: f32::from(reward),
-            flags,
-        };
+    for (i, step) in world.steps().iter().enumerate() {
         let before = table.clone();
         if world.kept && (i == 0 || i == 50) {
             bench.keep_horizons(&path);
         }
-        let index = bench.observe(actor, &t, &path, &mut table);
-        fresh[a] = end < 2;
-        places[a] = if end < 2 { (0, 0) } else { next };
+        let index = bench.observe(step.actor, &step.transition(), &path, &mut table);
         if i == 40 {
             // From here on no bridge is looked for there.
             table.set_estimate(0, &Estimate { action: 0, e_kl: 0.0, start_kl: 0.0, reward: 0.0 });
@@ -423,6 +468,36 @@ fn check(world: &World, cross_reference: bool) -> Result<(), TestCaseError> {
             prop_assert_eq!(found.len() + 1, table.bridge(j).map_or(0, |b| b.length as usize));
             prop_assert_eq!(found, expected, "mentor transition {} after {} moves", j, i + 1);
         }
+    }
+    Ok(())
+}
+
+/// A search that names a sample, or is ended by horizons, finds what one finds that names all it wants and knows no horizon,
+/// whatever it may look at.
+fn check_sample(world: &World, limit: usize) -> Result<(), TestCaseError> {
+    let demo = world.demo();
+    let (order, dim) = (demo.order(), demo.dim());
+    let similarity = Similarity::new(demo.states().to_vec(), dim, world.e_th);
+    let rule = BridgeRule { k: world.k + 3, n: world.n, e_infeas: 0.1 };
+    let path = Path { rule, order: &order, similarity: &similarity };
+    let mut sides = [true, false].map(|sampled| {
+        let mut bench = Bench::new(&demo, world.e_th, world.capacity, true);
+        (bench.search.limit, bench.search.few) = (limit, world.few);
+        let all = if world.surveyed { 0 } else { usize::MAX };
+        (bench.search.many, bench.search.sample) =
+            if sampled { (all, world.few) } else { (usize::MAX, usize::MAX) };
+        (bench, AnnotationTable::new(order.n_transitions(), dim, 4).keeping(rule.k - 1), sampled)
+    });
+    for (i, step) in world.steps().iter().enumerate() {
+        for (bench, table, sampled) in &mut sides {
+            if *sampled && world.kept && i % 20 == 0 {
+                bench.keep_horizons(&path);
+            }
+            bench.observe(step.actor, &step.transition(), &path, table);
+        }
+        let [(sampled, found, _), (all, expected, _)] = &sides;
+        prop_assert_eq!(found, expected, "after {} moves", i + 1);
+        prop_assert!(sampled.search.cut_short() <= all.search.cut_short());
     }
     Ok(())
 }
@@ -483,7 +558,8 @@ fn a_horizon_ends_searches_before_they_begin() {
         let (Some(graph), t) = (&bench.graph, bench.history.get(index)) else { panic!("no graph") };
         let (states, news) = (&bench.history.states, super::graph::News::Link);
         let new = Arrival { states, graph, t, index, oldest: 0, news, starts: &[], ends: &[] };
-        promised.push(bench.search.horizon.promises(&new, &path, &table));
+        let outline = bench.search.horizon.outline(&new, &path, &table);
+        promised.push(outline.is_none_or(|outline| outline.promises()));
     }
     assert_eq!(promised, [false, false, false, false, false, true, false]);
     assert_eq!(table.bridge(0).map(|b| b.length), Some(3));
@@ -518,6 +594,11 @@ proptest! {
     #[test]
     fn straight_bridges_are_those_of_algorithm_1(world in worlds()) {
         check(&world, false)?;
+    }
+
+    #[test]
+    fn a_sample_decides_as_all_would(world in worlds(), limit in prop_oneof![1usize..200, Just(1 << 18)]) {
+        check_sample(&world, limit)?;
     }
 
     #[test]

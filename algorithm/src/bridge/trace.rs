@@ -13,7 +13,7 @@
 //! States are compared feature by feature. The levels of the search hold every state of such a path, each at its place, since the search
 //! leaves out only states that lead to no bridge, and the paths are the shortest ones.
 
-use super::frontier::{Marks, Side, Step, similar};
+use super::frontier::{Seen, Step, each_similar};
 use super::graph::Link;
 use super::{Arrival, Path};
 use crate::similarity::metric::kl;
@@ -37,12 +37,12 @@ impl Trail {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Levels<'a> {
     /// After t: the states reached; those from which a path may go on; those that a step leaves.
-    pub(super) reached: &'a Marks,
-    pub(super) continued: &'a Marks,
-    pub(super) onward: &'a Marks,
+    pub(super) reached: &'a Seen,
+    pub(super) continued: &'a Seen,
+    pub(super) onward: &'a Seen,
     /// Before t: the states from which a path comes in; those that a step leaves.
-    pub(super) entered: &'a Marks,
-    pub(super) left: &'a Marks,
+    pub(super) entered: &'a Seen,
+    pub(super) left: &'a Seen,
 }
 
 /// What the search knows of a bridge.
@@ -108,7 +108,7 @@ fn follow(
 /// The best step that goes on from state `at`, of those that are the first of so many steps to t's beginning.
 fn step_towards(at: u32, left: u32, levels: &Levels<'_>, new: &Arrival<'_>, path: &Path<'_>) -> Option<Step> {
     let mut best: Option<Step> = None;
-    each_similar(at, new, path, |z| {
+    each_similar(new.graph, new.states, at, path, |z| {
         if !levels.left.is_at(z, left) {
             return;
         }
@@ -152,7 +152,7 @@ fn step_from(
     let mut best: Option<Step> = None;
     for link in new.graph.incoming(at).filter(|link| levels.onward.is_at(link.from, level)) {
         let Some((action, reward)) = of_link(link) else { continue };
-        each_similar(link.from, new, path, |y| {
+        each_similar(new.graph, new.states, link.from, path, |y| {
             if levels.continued.is_at(y, level - 1) {
                 keep_best(&mut best, Step { action, reward, to: y }, new.states);
             }
@@ -165,10 +165,4 @@ fn keep_best(best: &mut Option<Step>, step: Step, states: &States) {
     if best.is_none_or(|known| step.beats(&known, states)) {
         *best = Some(step);
     }
-}
-
-/// Calls `visit` with every stored state similar to state `id`.
-fn each_similar(id: u32, new: &Arrival<'_>, path: &Path<'_>, mut visit: impl FnMut(u32)) {
-    let mut all = Side::new(true, usize::MAX);
-    similar(new.graph, new.states, id, path, &mut all, |other, _| visit(other));
 }

@@ -8,7 +8,7 @@
 use super::frontier::Marks;
 use super::outlook::{Outlook, Stock};
 use super::room::Room;
-use super::{NEVER, Path, known};
+use super::{NEVER, Path, known, known_length};
 use crate::demonstration::transitions;
 use crate::similarity::Hit;
 use crate::similarity::metric::kl;
@@ -30,6 +30,8 @@ pub(super) struct Reach {
 const OVERFLOW: f64 = 2.6e19;
 /// No two whitened states are farther from each other than this.
 const FARTHEST: f64 = 1e21;
+/// Less than any divergence.
+const NOWHERE: f32 = -1.0;
 /// More steps than any path has.
 const MANY: u32 = 1 << 20;
 
@@ -112,13 +114,10 @@ impl Goal {
         match goals.iter_mut().find(|goal| goal.m == self.m) {
             Some(goal) => {
                 // A step leads farther than any radius: the larger number of steps decides.
-                let radius = if self.equal > goal.equal { self.radius } else { goal.radius.max(self.radius) };
-                *goal = Self {
-                    m: self.m,
-                    shorter: goal.shorter.max(self.shorter),
-                    equal: goal.equal.max(self.equal),
-                    radius,
-                };
+                goal.shorter = goal.shorter.max(self.shorter);
+                if (self.equal, self.radius) > (goal.equal, goal.radius) {
+                    (goal.equal, goal.radius) = (self.equal, self.radius);
+                }
             }
             None if full => return false,
             None => goals.push(self),
@@ -149,6 +148,9 @@ pub(super) struct Newest<'a> {
     pub(super) path: &'a Path<'a>,
     pub(super) stock: Stock<'a>,
     pub(super) reach: Reach,
+    pub(super) table: &'a AnnotationTable,
+    /// The levels after t and before t that have been looked at.
+    pub(super) levels: [u32; 2],
 }
 
 /// Working memory of [`Newest::collect_near`] and [`Newest::collect_far`].
@@ -192,78 +194,145 @@ fn span(path: &Path<'_>) -> f64 {
 
 impl Newest<'_> {
     /// Fills `wanted` with the mentor transitions whose bridge a path through t may improve with t as its first step or as its
-    /// last one.
+    /// last one, as far as `keep` is for them.
     pub(super) fn collect_near(
         &self,
-        table: &AnnotationTable,
         outlook: &mut Outlook,
         scratch: &mut Scratch,
         wanted: &mut Vec<Wanted>,
+        keep: &mut impl FnMut(&mut Wanted) -> bool,
     ) {
         wanted.clear();
         let Path { rule, order, similarity } = self.path;
         let seen = &mut scratch.seen;
-        let open = |j: usize| table.errors()[j] >= rule.e_infeas;
         seen.begin(order.n_transitions());
         for (j, start_kl) in transitions(self.starts, order) {
-            if open(j) && seen.first_time(j as u32, 0) {
-                wanted.extend(self.want(j, start_kl, table, outlook));
+            if self.is_infeasible(j) && seen.first_time(j as u32) {
+                wanted.extend(self.want(j, start_kl, outlook, keep));
             }
         }
         for hit in self.ends {
             for j in order.behind(hit.state as usize, rule.n) {
-                if open(j) && seen.first_time(j as u32, 0) {
+                if self.is_infeasible(j) && seen.first_time(j as u32) {
                     let start_kl = kl(self.from, similarity.state(order.state_of(j)));
-                    wanted.extend(self.want(j, start_kl, table, outlook));
+                    wanted.extend(self.want(j, start_kl, outlook, keep));
                 }
             }
         }
     }
 
-    /// Adds those whose bridge leaves room for more steps on both sides of t, after [`Newest::collect_near`]. False, and of no
-    /// use, if that makes more than `most` entries.
+    fn is_infeasible(&self, j: usize) -> bool {
+        self.table.errors()[j] >= self.path.rule.e_infeas
+    }
+
+    /// Adds those of the mentor transitions `met` whose bridge leaves room for more steps on both sides of t, after
+    /// [`Newest::collect_near`]. They come perhaps more than once. False once there are enough: then some are missing.
+    pub(super) fn collect_met(
+        &self,
+        mut met: impl Iterator<Item = usize>,
+        outlook: &mut Outlook,
+        scratch: &mut Scratch,
+        wanted: &mut Vec<Wanted>,
+        keep: &mut impl FnMut(&mut Wanted) -> bool,
+        is_enough: impl Fn(Tally) -> bool,
+    ) -> bool {
+        let Path { order, similarity, .. } = self.path;
+        let (step, widest) = (kl(self.from, self.to), *scratch.span.get_or_insert_with(|| span(self.path)));
+        let Scratch { limits, seen, .. } = scratch;
+        limits.clear();
+        limits.extend((0..=most_room(self.path)).map(|steps| self.reach.room(steps, step, widest)));
+        let mut tally = Tally::of(wanted);
+        while !is_enough(tally)
+            && let Some(j) = met.next()
+        {
+            if !(self.is_infeasible(j) && seen.first_time(j as u32)) {
+                continue;
+            }
+            let (kl, steps) = (kl(self.from, similarity.state(order.state_of(j))), self.room_of(j));
+            if steps > 0
+                && kl <= limits[steps as usize]
+                && self.could_want(j, self.reach.steps(kl, self.reach.radius), keep)
+                && let Some(new) = self.want(j, kl, outlook, keep)
+            {
+                tally.add(&new);
+                wanted.push(new);
+            }
+        }
+        !is_enough(tally)
+    }
+
+    /// Whether a bridge of a mentor transition would be too long of which neither the beginning nor an end lies on a level so far.
+    pub(super) fn is_only_met(&self) -> bool {
+        self.levels.iter().map(|steps| steps + 1).sum::<u32>() + 1 > self.path.rule.k as u32
+    }
+
+    /// The same for all others, after [`Newest::collect_met`].
     pub(super) fn collect_far(
         &self,
-        table: &AnnotationTable,
         outlook: &mut Outlook,
         scratch: &mut Scratch,
         most: usize,
         wanted: &mut Vec<Wanted>,
+        keep: &mut impl FnMut(&mut Wanted) -> bool,
     ) -> bool {
-        let Path { rule, order, similarity } = self.path;
-        let Scratch { room, span: widest, limits, seen, stack } = scratch;
-        let (step, most_steps) = (kl(self.from, self.to), most_room(self.path));
-        let widest = *widest.get_or_insert_with(|| span(self.path));
-        limits.clear();
-        limits.extend((0..=most_steps).map(|steps| self.reach.room(steps, step, widest)));
-        let room_of = |m: usize, outlook: &mut Outlook| {
-            let open = order.transition_of(m).filter(|&j| table.errors()[j] >= rule.e_infeas);
-            let Some(j) = open else { return 0 };
-            let steps = known(table, j, rule).map_or(most_steps, |known| known.length.saturating_sub(2));
-            if steps > 0 && outlook.covers(j, &self.stock, self.path) { steps } else { 0 }
-        };
+        let Path { order, similarity, .. } = self.path;
+        let Scratch { room, limits, seen, stack, .. } = scratch;
+        // These have neither a beginning nor an end on a level so far.
+        let [after, before] = self.levels;
+        for (limit, steps) in limits.iter_mut().zip(0u32..) {
+            *limit = match steps.checked_sub(after).filter(|&left| left > before) {
+                Some(left) => limit.min(self.reach.limit(left, self.reach.radius)),
+                None => NOWHERE,
+            };
+        }
+        let mut tally = Tally::of(wanted);
         room.around(self.from, similarity.fine(), limits, stack, |m, kl| {
-            let steps = room_of(m, outlook);
-            if steps > 0
-                && kl <= limits[steps as usize]
-                && let Some(j) = order.transition_of(m)
-                && seen.first_time(j as u32, 0)
-            {
-                wanted.extend(self.want(j, kl, table, outlook));
+            let open = order.transition_of(m).filter(|&j| self.is_infeasible(j));
+            let Some((j, steps)) = open.map(|j| (j, self.room_of(j))) else { return Some(0) };
+            // Whether it is covered need not be known of those that cannot be wanted now.
+            let before = self.reach.steps(kl, self.reach.radius);
+            if steps == 0 || kl > limits[steps as usize] || !self.could_want(j, before, keep) {
+                return Some(steps);
             }
-            (wanted.len() <= most).then_some(steps)
+            if !outlook.covers(j, &self.stock, self.path) {
+                return Some(0);
+            }
+            if seen.first_time(j as u32)
+                && let Some(new) = self.want(j, kl, outlook, keep)
+            {
+                tally.add(&new);
+                wanted.push(new);
+                if tally.is_more_than(most) {
+                    return None;
+                }
+            }
+            Some(steps)
         })
     }
 
-    /// The entry for mentor transition `j`, which begins at KL `start_kl` from s, if its bridge may be improved.
+    /// The steps that a bridge of infeasible mentor transition `j` may have before t, if it has some after t, too.
+    fn room_of(&self, j: usize) -> u32 {
+        let known = known_length(self.table, j, &self.path.rule);
+        known.map_or(most_room(self.path), |length| length.saturating_sub(2))
+    }
+
+    /// Whether `keep` may be for mentor transition `j`, whatever its ends. At least `before` steps lead from where it begins to t.
+    fn could_want(&self, j: usize, before: u32, keep: &mut impl FnMut(&mut Wanted) -> bool) -> bool {
+        let longest = known_length(self.table, j, &self.path.rule).unwrap_or(self.path.rule.k as u32);
+        let (started, ended) = (false, false);
+        keep(&mut Wanted { j: j as u32, longest, end_kl: 0.0, before, after: 0, started, ended })
+    }
+
+    /// The entry for mentor transition `j`, which begins at KL `start_kl` from s, if its bridge may be improved, and if `keep` is for
+    /// it.
     fn want(
         &self,
         j: usize,
         start_kl: f32,
-        table: &AnnotationTable,
         outlook: &mut Outlook,
+        keep: &mut impl FnMut(&mut Wanted) -> bool,
     ) -> Option<Wanted> {
-        let Self { to, path, stock, reach, .. } = self;
+        let Self { to, path, stock, reach, table, .. } = self;
         let similarity = path.similarity;
         let known = known(table, j, &path.rule);
         let most = known.as_ref().map_or(path.rule.k as u32, |known| known.length);
@@ -283,6 +352,20 @@ impl Newest<'_> {
             started,
             ended: false,
         };
+        let Some(known) = &known else {
+            // The nearest end decides.
+            let mut least = None;
+            for m in path.order.ahead(j, path.rule.n) {
+                let kl = kl(to, similarity.state(m));
+                let nearer = kl <= farthest && least.is_none_or(|least| kl < least);
+                if nearer && outlook.nearest_end(m, stock, similarity).is_some() {
+                    least = Some(kl);
+                }
+            }
+            wanted.after = reach.steps(least?, reach.radius);
+            outlook.best_start(path.order.state_of(j), stock, similarity)?;
+            return (wanted.is_possible() && keep(&mut wanted)).then_some(wanted);
+        };
         for m in path.order.ahead(j, path.rule.n) {
             let kl = kl(to, similarity.state(m));
             if kl > farthest {
@@ -297,7 +380,6 @@ impl Newest<'_> {
             if before + 1 + after <= longest {
                 wanted.after = wanted.after.min(after);
             }
-            let Some(known) = &known else { continue };
             // An equally long one: t is its last step, or its first one, or any.
             if kl < known.end_kl || kl == known.end_kl && best_start > known.reward {
                 (wanted.longest, wanted.after) = (known.length, 0);
@@ -310,7 +392,32 @@ impl Newest<'_> {
                 wanted.after = wanted.after.min(after);
             }
         }
-        wanted.is_possible().then_some(wanted)
+        (wanted.is_possible() && keep(&mut wanted)).then_some(wanted)
+    }
+}
+
+/// How many wanted mentor transitions have no beginning yet, and how many no end. They have as many goals and more.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Tally {
+    pub(super) not_started: usize,
+    not_ended: usize,
+}
+
+impl Tally {
+    pub(super) fn of(wanted: &[Wanted]) -> Self {
+        let mut tally = Self::default();
+        wanted.iter().for_each(|w| tally.add(w));
+        tally
+    }
+
+    fn add(&mut self, w: &Wanted) {
+        self.not_started += usize::from(!w.started);
+        self.not_ended += usize::from(!w.ended);
+    }
+
+    /// Whether both are more than `most`.
+    pub(super) fn is_more_than(self, most: usize) -> bool {
+        self.not_started.min(self.not_ended) > most
     }
 }
 

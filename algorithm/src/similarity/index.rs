@@ -53,19 +53,28 @@ impl Similarity {
         &self.whitened[m * self.dim..][..self.dim]
     }
 
+    /// All mentor states, in an order in which near ones mostly stand together.
+    pub fn near_together(&self) -> impl Iterator<Item = usize> {
+        self.tree.in_order().iter().map(|&m| m as usize)
+    }
+
     /// Fills `hits` with all mentor states similar to the whitened `state`, in ascending order. `stack` is working
     /// memory.
     pub fn states(&self, state: &[f32], stack: &mut Vec<u32>, hits: &mut Vec<Hit>) {
         hits.clear();
-        self.tree.within(state, self.e_th, stack, |m, kl| hits.push(Hit { state: m as u32, kl }));
+        self.each(state, stack, |hit| hits.push(hit));
         hits.sort_unstable_by_key(|hit| hit.state);
     }
 
-    /// Fills `hits` with the mentor states of `among` that are similar to the whitened `state`, in their order.
-    pub fn among(&self, state: &[f32], among: impl Iterator<Item = u32>, hits: &mut Vec<Hit>) {
-        hits.clear();
+    /// Calls `visit` with all mentor states similar to the whitened `state`, in no particular order. `stack` is working memory.
+    pub fn each(&self, state: &[f32], stack: &mut Vec<u32>, mut visit: impl FnMut(Hit)) {
+        self.tree.within(state, self.e_th, stack, |m, kl| visit(Hit { state: m as u32, kl }));
+    }
+
+    /// Calls `visit` with the mentor states of `among` that are similar to the whitened `state`, in their order.
+    pub fn among(&self, state: &[f32], among: impl Iterator<Item = u32>, visit: impl FnMut(Hit)) {
         let each = among.map(|m| Hit { state: m, kl: kl(state, self.state(m as usize)) });
-        hits.extend(each.filter(|hit| hit.kl <= self.e_th));
+        each.filter(|hit| hit.kl <= self.e_th).for_each(visit);
     }
 }
 
@@ -95,7 +104,8 @@ mod tests {
             let (mut hits, mut stack) = (Vec::new(), Vec::new());
             index.states(query, &mut stack, &mut hits);
             prop_assert_eq!(&hits, &expected);
-            index.among(query, 0..(states.len() / dim) as u32, &mut hits);
+            hits.clear();
+            index.among(query, 0..(states.len() / dim) as u32, |hit| hits.push(hit));
             prop_assert_eq!(&hits, &expected);
             // A state of the mentor's own is similar to itself.
             index.states(&states[..dim], &mut stack, &mut hits);

@@ -131,6 +131,11 @@ impl Tree {
         (low, high)
     }
 
+    /// The numbers of all points, those of each node side by side.
+    pub fn in_order(&self) -> &[u32] {
+        &self.order
+    }
+
     /// How many nodes there are.
     pub fn n_nodes(&self) -> usize {
         self.nodes.len()
