@@ -105,7 +105,12 @@ impl Environment for Gym {
         let cut = outcome.truncated || self.episode.actions.len() >= self.step_limit as usize;
         let truncated = cut && !terminated;
         self.episode.running = !(terminated || truncated);
-        Ok(Step { reward: outcome.reward, terminated, truncated, success: self.found.success && outcome.success })
+        Ok(Step {
+            reward: outcome.reward,
+            terminated,
+            truncated,
+            success: self.found.success && outcome.success,
+        })
     }
 
     fn snapshot(&self) -> Result<Vec<u8>, EnvError> {
