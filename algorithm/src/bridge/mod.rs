@@ -31,7 +31,7 @@
 //! is at any time the best one that has ever been in the history.
 //!
 //! Of a bridge its first step is kept, and, where that is asked for, all of its steps ([`AnnotationTable::further`]). Several paths may
-//! have one first step, one length and one end KL: [`trace`] says which of them counts. A bridge that is not replaced keeps its steps.
+//! have one first step, one length and one end KL: `trace` says which of them counts. A bridge that is not replaced keeps its steps.
 //!
 //! The search serves mentor transitions that are infeasible at the time: e_KL >= `e_infeas`, or no estimate yet. A bridge
 //! stays when its transitions have left the history.

@@ -17,7 +17,7 @@
 //! - A *survey* goes through what lies around t, whatever it may lead to, as long as that is little. It is over as soon as no
 //!   beginning that it has met, or may still meet, has an end within its steps.
 //! - Where it is much, a *sample* of the wanted is named. What a search does next depends on whether some wanted transition has no
-//!   beginning yet, and whether some has no end, and on their goals if these are few. More than [`FEW`] of both kinds decide as all
+//!   beginning yet, and whether some has no end, and on their goals if these are few. More than `FEW` of both kinds decide as all
 //!   would. As levels are looked at, entries of the sample are done with, and another is drawn. At last those that are still open
 //!   are few, or have been met, and can all be named.
 //!
