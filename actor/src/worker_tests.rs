@@ -160,21 +160,32 @@ fn a_whole_bridge_is_abandoned_where_it_has_not_been() {
     assert_eq!(actions(&batch), [1, 1, 0, 1, 0, 1, 0]);
 }
 
+/// `worker` goes on as one does that its snapshot was given to: after the seven ticks from each of `firsts`, of `rollout` steps each.
+fn goes_on_from_snapshots(
+    worker: &mut Worker,
+    experiment: &Experiment,
+    acting: &Acting,
+    firsts: &[u64],
+    rollout: u32,
+) {
+    for &first in firsts {
+        guided_batches(worker, acting, first, 7, rollout);
+        let bytes = worker.snapshot().unwrap();
+        let mut other = Worker::new(experiment, 0).unwrap();
+        other.restore(&bytes).unwrap();
+        assert_eq!(other.snapshot().unwrap(), bytes);
+        let went_on = guided_batches(&mut other, acting, first + 7, 20, 13);
+        assert_eq!(guided_batches(worker, acting, first + 7, 20, 13), went_on);
+    }
+}
+
 #[test]
 fn an_actor_on_a_whole_bridge_goes_on_from_its_snapshot() {
     let steps: &[(u32, f32)] = &[(1, 1.0), (0, 2.0), (1, 1.0), (0, 2.0)];
     let (mut experiment, acting) = optional_corridor([1, 0, NONE, NONE, NONE], &[(0, steps)]);
     (experiment.config.exploration.guide_start, experiment.config.exploration.guide_end) = (0.6, 0.6);
     let mut worker = Worker::new(&experiment, 0).unwrap();
-    for first in [1, 8, 15, 22] {
-        guided_batches(&mut worker, &acting, first, 7, 9);
-        let bytes = worker.snapshot().unwrap();
-        let mut other = Worker::new(&experiment, 0).unwrap();
-        other.restore(&bytes).unwrap();
-        assert_eq!(other.snapshot().unwrap(), bytes);
-        let went_on = guided_batches(&mut other, &acting, first + 7, 20, 13);
-        assert_eq!(guided_batches(&mut worker, &acting, first + 7, 20, 13), went_on);
-    }
+    goes_on_from_snapshots(&mut worker, &experiment, &acting, &[1, 8, 15, 22], 9);
     // In the middle of a bridge, an actor with shorter ones does not take it, and neither does one without.
     let at_once = Worker::new(&optional_corridor([1; 5], &[]).0, 0);
     let mut worker = at_once.unwrap();
@@ -260,15 +271,7 @@ fn an_actor_that_is_led_goes_on_from_its_snapshot() {
     let experiment = bridged_corridor(&["exploration.guide_start=0.5", "exploration.guide_end=0.5"]);
     let acting = leading(&experiment, 1);
     let mut worker = Worker::new(&experiment, 0).unwrap();
-    for first in [1, 8, 15] {
-        guided_batches(&mut worker, &acting, first, 7, 13);
-        let bytes = worker.snapshot().unwrap();
-        let mut other = Worker::new(&experiment, 0).unwrap();
-        other.restore(&bytes).unwrap();
-        assert_eq!(other.snapshot().unwrap(), bytes);
-        let went_on = guided_batches(&mut other, &acting, first + 7, 20, 13);
-        assert_eq!(guided_batches(&mut worker, &acting, first + 7, 20, 13), went_on);
-    }
+    goes_on_from_snapshots(&mut worker, &experiment, &acting, &[1, 8, 15], 13);
     // Neither an actor without a guide nor one with another path takes it.
     let bytes = worker.snapshot().unwrap();
     let mut plain = Worker::new(&walked_corridor(&[]), 0).unwrap();

@@ -40,8 +40,7 @@ def breakout(sticky: float = 0.0) -> gymnasium.Env[Any, Any]:
 def reacher(gear: tuple[float, float] = (200.0, 200.0), effort: float = 0.1) -> gymnasium.Env[Any, Any]:
     """MuJoCo's arm of two links that reaches for a point; ``gear`` are the ratios of its two motors, Gymnasium's are 200.
 
-    A motor at full power costs ``effort`` a step. Gymnasium's 1 is as much as being a metre away, five times the arm's reach: for
-    motors that are at full power or off, standing still is then nearly the best that can be done.
+    A motor at full power costs ``effort`` a step. Gymnasium's 1 is as much as being a metre away, which is five times the arm's reach.
     """
     env = gymnasium.make("Reacher-v5", reward_control_weight=effort)
     env.unwrapped.model.actuator_gear[:, 0] = gear  # type: ignore[attr-defined]

@@ -46,7 +46,7 @@ impl Marks {
     }
 }
 
-/// Which states have been seen in the present search, and at which level. Memory: two bytes a state.
+/// Which states have been seen in the present search, and at which level. Memory: a byte and a quarter a state.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Seen {
     marks: Marks,

@@ -105,7 +105,7 @@ fn follow(
     Some(())
 }
 
-/// The best step that goes on from state `at`, of those that are the first of so many steps to t's beginning.
+/// The best step that goes on from state `at` and begins a path of `left` steps to t's beginning.
 fn step_towards(at: u32, left: u32, levels: &Levels<'_>, new: &Arrival<'_>, path: &Path<'_>) -> Option<Step> {
     let mut best: Option<Step> = None;
     each_similar(new.graph, new.states, at, path, |z| {

@@ -289,7 +289,7 @@ impl Newest<'_> {
         room.around(self.from, similarity.fine(), limits, stack, |m, kl| {
             let open = order.transition_of(m).filter(|&j| self.is_infeasible(j));
             let Some((j, steps)) = open.map(|j| (j, self.room_of(j))) else { return Some(0) };
-            // Whether it is covered need not be known of those that cannot be wanted now.
+            // A transition that cannot be wanted now need not be looked up in the outlook.
             let before = self.reach.steps(kl, self.reach.radius);
             if steps == 0 || kl > limits[steps as usize] || !self.could_want(j, before, keep) {
                 return Some(steps);

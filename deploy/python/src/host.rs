@@ -120,9 +120,11 @@ impl Env {
         let reward = parts.get_item(1)?;
         let reward: f64 = reward.extract().map_err(|_| wrong("a reward", "a number", &reward))?;
         let flag = |place| -> PyResult<bool> { parts.get_item(place)?.is_truthy() };
-        let info = parts.get_item(4)?;
-        let told = info.cast::<PyDict>().ok().map(|info| info.get_item(intern!(py, "is_success"))).transpose()?;
-        let success = told.flatten().is_some_and(|told| told.is_truthy().unwrap_or(false));
+        let told = match parts.get_item(4)?.cast::<PyDict>() {
+            Ok(info) => info.get_item(intern!(py, "is_success"))?,
+            Err(_) => None,
+        };
+        let success = told.map_or(Ok(false), |told| told.is_truthy())?;
         Ok(Outcome { reward: reward as f32, terminated: flag(2)?, truncated: flag(3)?, success })
     }
 }
