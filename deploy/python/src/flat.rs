@@ -2,9 +2,9 @@
 
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyValueError;
+use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use pyo3::intern;
 use serde_json::Value;
 
 /// A space of observations, as `_gym.describe` writes it.
@@ -25,12 +25,14 @@ impl Space {
     /// Reads what `_gym.describe` wrote.
     pub(crate) fn parse(value: &Value) -> Result<Self, String> {
         let field = |name: &str| value.get(name).ok_or_else(|| format!("a space without {name}: {value}"));
-        let whole = |name: &str| field(name)?.as_i64().ok_or_else(|| format!("{name} is no whole number: {value}"));
+        let whole =
+            |name: &str| field(name)?.as_i64().ok_or_else(|| format!("{name} is no whole number: {value}"));
         let list = |name: &str| field(name)?.as_array().ok_or_else(|| format!("{name} is no list: {value}"));
         match field("kind")?.as_str().unwrap_or_default() {
             "box" => {
                 let sides = list("shape")?.iter().map(|side| side.as_u64().map(|side| side as usize));
-                let shape: Vec<usize> = sides.collect::<Option<_>>().ok_or("a shape of other than numbers")?;
+                let shape: Vec<usize> =
+                    sides.collect::<Option<_>>().ok_or("a shape of other than numbers")?;
                 Ok(Self::Box { len: shape.iter().product(), shape })
             }
             "discrete" => Ok(Self::Discrete { n: whole("n")?, start: whole("start")? }),
@@ -67,7 +69,13 @@ impl Space {
                         Ok(item) => item.extract::<i64>(),
                         Err(_) => Err(error),
                     })
-                    .map_err(|_| wrong("an observation", &format!("a whole number from {start} to {}", start + n - 1), obs))?;
+                    .map_err(|_| {
+                        wrong(
+                            "an observation",
+                            &format!("a whole number from {start} to {}", start + n - 1),
+                            obs,
+                        )
+                    })?;
                 if !(*start..start + n).contains(&value) {
                     return Err(wrong("an observation", &format!("{start} to {}", start + n - 1), obs));
                 }
@@ -76,11 +84,10 @@ impl Space {
             }
             Self::Nothing => Ok(()),
             Self::Tuple(spaces) => {
-                let parts = obs
-                    .cast::<PyTuple>()
-                    .ok()
-                    .filter(|parts| parts.len() == spaces.len())
-                    .ok_or_else(|| wrong("an observation", &format!("a tuple of {}", spaces.len()), obs))?;
+                let parts =
+                    obs.cast::<PyTuple>().ok().filter(|parts| parts.len() == spaces.len()).ok_or_else(
+                        || wrong("an observation", &format!("a tuple of {}", spaces.len()), obs),
+                    )?;
                 let mut from = 0;
                 for (place, (space, part)) in spaces.iter().zip(parts.iter_borrowed()).enumerate() {
                     let written = space.write(&part, &mut out[from..from + space.len()]);
@@ -93,9 +100,9 @@ impl Space {
                 let parts = obs.cast::<PyDict>().map_err(|_| wrong("an observation", "a dict", obs))?;
                 let mut from = 0;
                 for (key, space) in spaces {
-                    let part = parts
-                        .get_item(key)?
-                        .ok_or_else(|| wrong("an observation", &format!("a dict with the key {key:?}"), obs))?;
+                    let part = parts.get_item(key)?.ok_or_else(|| {
+                        wrong("an observation", &format!("a dict with the key {key:?}"), obs)
+                    })?;
                     let written = space.write(&part, &mut out[from..from + space.len()]);
                     written.map_err(|error| of_part(obs.py(), key, error))?;
                     from += space.len();
@@ -154,7 +161,11 @@ fn numbers(obs: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f32]) -> PyResult
 }
 
 /// Whether `obs` is an array of `T`; then it has been copied.
-fn copied<T: Element + Number + Default>(obs: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f32]) -> PyResult<bool> {
+fn copied<T: Element + Number + Default>(
+    obs: &Bound<'_, PyAny>,
+    shape: &[usize],
+    out: &mut [f32],
+) -> PyResult<bool> {
     let Ok(buffer) = PyBuffer::<T>::get(obs) else { return Ok(false) };
     if buffer.shape() != shape {
         let found = buffer.shape().to_vec();

@@ -114,7 +114,11 @@ impl Env {
             self.step.bind(py).call1((action,))?
         };
         let Some(parts) = answer.cast::<PyTuple>().ok().filter(|parts| parts.len() == 5) else {
-            return Err(wrong("what step returned", "(observation, reward, terminated, truncated, info)", &answer));
+            return Err(wrong(
+                "what step returned",
+                "(observation, reward, terminated, truncated, info)",
+                &answer,
+            ));
         };
         self.space.write(&parts.get_item(0)?, &mut self.flat)?;
         let reward = parts.get_item(1)?;

@@ -6,8 +6,8 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use trestle_learner::checkpoint;
 use trestle_proto::config::Env;
-use trestle_proto::rundir::RunDir;
 use trestle_proto::round::Round;
+use trestle_proto::rundir::RunDir;
 use trestle_qnet::{Conv, Encoding, Layout, Workspace, forward, network_of};
 
 /// Rows that are evaluated at a time.
@@ -107,7 +107,10 @@ impl Policy {
         let (dim, input, n) =
             (self.encoding.observation_dim(), self.encoding.input_dim(), self.actions.len());
         if obs.len() % dim != 0 {
-            return Err(PyValueError::new_err(format!("{} numbers; accepted: {dim} for each row", obs.len())));
+            return Err(PyValueError::new_err(format!(
+                "{} numbers; accepted: {dim} for each row",
+                obs.len()
+            )));
         }
         let mut values = vec![0.0; obs.len() / dim * n];
         let mut x = vec![0.0; ROWS * input];
