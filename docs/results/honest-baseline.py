@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Ratios to `diiqn` with honest inference on maze30: docs/results.md shows what this prints.
 
-Every arm but `diiqn` has the same runs with `mentor.inference=similar` as with `any`. So their rows are those of
-maze30-runs.csv. maze30-similar-runs.csv has the runs of `diiqn`, and some of the other arms, which are counted and compared. Intervals hold 95 % (bootstrap, 2000 resamples).
+Every arm but `diiqn` has the same runs with `mentor.inference=similar` as with `any`. So their rows are those of maze30-runs.csv.
+maze30-similar-runs.csv has the runs of `diiqn`, and some of the other arms, which are counted and compared. Intervals hold 95 %
+(bootstrap, 2000 resamples).
 """
 
 import csv
