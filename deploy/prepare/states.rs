@@ -232,7 +232,8 @@ fn occupied(root: &Path) -> bool {
 
 /// Removes what the last run in `root` has left in shared memory: its supervisor and a process of it may have been killed
 /// within a moment. A caller that is `alone` in the directory, by its lock, knows that no process of that run is left. Any other
-/// caller removes only the remains of processes that are known to be dead. A copy of a directory names the run of the original, which may be alive.
+/// caller removes only the remains of processes that are known to be dead. A copy of a directory names the run of the original,
+/// which may be alive.
 pub(crate) fn clear_away(root: &Path, alone: bool) {
     let Ok(plan) = RunDir::new(root).read_plan() else { return };
     let run = plan.life.run;

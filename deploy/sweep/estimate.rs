@@ -1,7 +1,8 @@
 //! How long a sweep will take, from what is known of its arms, or with a suite of each algorithm with each preset: its kinds.
 //!
-//! Before the first run of a kind has ended, now or before the sweep was resumed, only a bound is known: the steps that a run can take at the most, at the rate of
-//! a short probe. Once runs have ended, the others of the kind are expected to take as long for each step that they may take.
+//! Before the first run of a kind has ended, now or before the sweep was resumed, only a bound is known: the steps that a run can
+//! take at the most, at the rate of a short probe. Once runs have ended, the others of the kind are expected to take as long for
+//! each step that they may take.
 
 use std::time::Duration;
 use trestle_proto::config::Config;

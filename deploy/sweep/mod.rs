@@ -33,7 +33,7 @@ use trestle_proto::run_result::RunResult;
 
 /// Environment steps of a probe beyond its warm-up.
 const PROBE_STEPS: u64 = 8_000;
-/// How long a probe may take, from the start of its processes: a slow environment makes no more steps than come until then.
+/// How long a probe may take, from the start of its processes. A slow environment makes fewer steps in it.
 const PROBE_TIME: Duration = Duration::from_secs(20);
 
 /// One run of a sweep.

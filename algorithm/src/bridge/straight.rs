@@ -19,7 +19,8 @@ pub struct Scratch {
 }
 
 /// Looks for bridges that end with transition `index`, the newest of `history`, and improves `table`. The mentor states of
-/// `newest` are similar to the transition's beginning, those of `ends` to its end. `improved` is called with each mentor transition whose bridge was replaced, perhaps more than once.
+/// `newest` are similar to the transition's beginning, those of `ends` to its end. `improved` is called with each mentor
+/// transition whose bridge was replaced, perhaps more than once.
 pub fn search(
     history: &History,
     index: u64,

@@ -153,7 +153,7 @@ pub(super) struct Newest<'a> {
     pub(super) levels: [u32; 2],
 }
 
-/// Working memory of [`Newest::collect_near`] and [`Newest::collect_far`].
+/// Working memory of [`Newest::collect_near`], [`Newest::collect_met`] and [`Newest::collect_far`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
     room: Room,

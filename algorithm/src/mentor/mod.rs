@@ -217,9 +217,9 @@ impl Mentor {
         self
     }
 
-    /// Takes in `batch`, whose first transition has number `first` in the run's one history: stores the transitions, infers actions, looks for bridges. Fills `out` with a mentor transition for each one, drawn
-    /// evenly from those whose s_m is similar to its s (none: [`NONE`]), and with the annotations that changed, each
-    /// once, in ascending order.
+    /// Takes in `batch`, whose first transition has number `first` in the run's one history: stores the transitions, infers
+    /// actions, looks for bridges. Fills `out` with a mentor transition for each one, drawn evenly from those whose s_m is similar
+    /// to its s (none: [`NONE`]), and with the annotations that changed, each once, in ascending order.
     ///
     /// # Errors
     /// Transitions that do not continue the history: nothing is taken in.

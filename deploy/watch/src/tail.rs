@@ -1,8 +1,7 @@
 //! Reading a file of lines that grows, a piece at a time.
 //!
-//! Only whole lines are handed on: the last one may still be torn. Lines that are longer than the
-//! sink takes are passed over. A file that is
-//! another one, is shorter, or has other bytes where this reader stopped, as after `trestle resume`, is read anew.
+//! Only whole lines are handed on: the last one may still be torn. Lines that are longer than the sink takes are passed over. A
+//! file that is another one, is shorter, or has other bytes where this reader stopped, as after `trestle resume`, is read anew.
 
 use crate::root::{Dir, Identity, Stamp};
 use std::io::{self, Read, Seek, SeekFrom};

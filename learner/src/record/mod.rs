@@ -305,7 +305,8 @@ impl Recorder {
         Ok((state, files))
     }
 
-    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`. A reader that finds that file finds all lines, too.
+    /// Ends the record: a last interval row, so that the shortest run has one, and `result.json`. A reader that finds that file
+    /// finds all lines, too.
     pub fn finish(
         mut self,
         counters: &Counters,

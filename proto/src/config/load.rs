@@ -27,8 +27,8 @@ impl Preset {
     }
 }
 
-/// The configuration called `name` (a preset, a TOML file, or an environment's short form) with `overrides` (`key=value`, dotted keys, the later one wins).
-/// Everything is checked but what the configuration names: maps and demonstrations.
+/// The configuration called `name` (a preset, a TOML file, or an environment's short form) with `overrides` (`key=value`, dotted
+/// keys, the later one wins). Everything is checked but what the configuration names: maps and demonstrations.
 ///
 /// # Errors
 /// What cannot be read, is not a setting, or is not accepted.

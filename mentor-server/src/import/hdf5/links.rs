@@ -26,7 +26,8 @@ pub(super) enum Found {
     Object(String, u64),
     /// Nothing, and no link either.
     Nothing,
-    /// The link at the first path leads into another file, or to something that only the format's own library knows, which is named in words.
+    /// The link at the first path leads into another file, or to something that only the format's own library knows, which is named
+    /// in words.
     Unread(String, String),
     /// The link at the first path leads nowhere.
     Dead(String, String),
