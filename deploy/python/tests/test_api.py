@@ -16,7 +16,7 @@ import pytest
 
 import trestle
 from conftest import SMALL
-from envs import Line, Named, Spaces
+from envs import Line, Named, Spaces, Told
 
 OVERRIDES: dict[str, Any] = {key: (value if not value.startswith("[") else [16]) for key, value in SMALL.items()}
 OVERRIDES = {key: int(value) if isinstance(value, str) and value.isdigit() else value for key, value in OVERRIDES.items()}
@@ -150,9 +150,10 @@ class Model:
     """Acts as a model of Stable-Baselines3 does."""
 
     action_space = gymnasium.spaces.Discrete(2)
+    action = 1
 
     def predict(self, observation: Any, /, *, deterministic: bool) -> tuple[Any, None]:
-        return 1, None
+        return self.action, None
 
 
 def test_a_recording_needs_the_policy_s_own_environment(run: trestle.Run, tmp_path: Path) -> None:
@@ -164,6 +165,17 @@ def test_a_recording_needs_the_policy_s_own_environment(run: trestle.Run, tmp_pa
     with pytest.warns(UserWarning, match="nothing says which episodes succeed, so all are recorded"):
         assert trestle.record(Model(), Line(), episodes=2, out=out) == 2
     assert trestle.record(Model(), Line(), episodes=2, out=out, least_return=0, overwrite=True) == 2
+
+
+def test_success_that_the_environment_tells_decides_what_is_recorded(tmp_path: Path) -> None:
+    out = tmp_path / "states.csv"
+    # The model goes to the right, and the environment counts the left as success.
+    with pytest.raises(ValueError, match=r"none of 2 episodes succeeds by info\['is_success'\]; nothing is written"):
+        trestle.record(Model(), Told(), episodes=2, out=out)
+    model = Model()
+    model.action = 0
+    assert trestle.record(model, Told(), episodes=2, out=out) == 2
+    assert trestle.record(Model(), Told(), episodes=2, out=out, least_return=0, overwrite=True) == 2
 
 
 def test_other_actions_are_none_of_the_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,8 +44,9 @@ def record(
         env: the environment, or its id. It must have the observations and actions of the policy.
         episodes: episodes to play; episode i is reset with ``seed + i``.
         out: the CSV file to write.
-        least_return: leave episodes with a lower return out. If None, the return that counts as solved in the policy's run, or
-            else by the environment's ``reward_threshold``; where there is neither, all episodes are written, with a warning.
+        least_return: leave episodes with a lower return out. If None, those episodes are written that succeed by
+            ``info["is_success"]`` of their last step. Where the environment does not tell, those are whose return counts as solved
+            in the policy's run, or else by the environment's ``reward_threshold``; where there is neither, all are, with a warning.
             ``-math.inf`` writes all.
         features: the features to write, by their places or names; all if None. The observer's are those of its environment's
             space, picked by ``env.gym.features``.
@@ -64,29 +65,37 @@ def record(
     made = gymnasium.make(env) if isinstance(env, str) else env
     names, places, flatten = _gym.flattening(made.observation_space, features)
     _check_fits(policy, made)
-    least = _least(policy, made) if least_return is None else least_return
     limit = policy.step_limit if isinstance(policy, Policy) else _STEP_LIMIT
     returns: list[float] = []
-    kept: list[tuple[list[list[float]], bool]] = []
+    told: list[Any] = []
+    played: list[tuple[list[list[float]], bool]] = []
     for episode in range(episodes):
         obs, _ = made.reset(seed=seed + episode)
         states, total, over, terminated = [flatten(obs)], 0.0, False, False
+        info: dict[str, Any] = {}
         while not over:
             action, _ = policy.predict(obs, deterministic=True)
-            obs, reward, terminated, truncated, _ = made.step(action)
+            obs, reward, terminated, truncated, info = made.step(action)
             total += float(reward)
             states.append(flatten(obs))
             over = bool(terminated or truncated) or len(states) > limit
         returns.append(total)
-        if len(states) > 1 and (least is None or total >= least):
-            kept.append((states, bool(terminated)))
+        told.append(info.get("is_success"))
+        played.append((states, bool(terminated)))
+    if least_return is None and any(success is not None for success in told):
+        succeeded = [bool(success) for success in told]
+        fault = "succeeds by info['is_success']"
+    else:
+        least = _least(policy, made) if least_return is None else least_return
+        succeeded = [least is None or total >= least for total in returns]
+        fault = f"has a return of {least} or more" + (f", the best has {max(returns):.6g}" if returns else "")
     if isinstance(env, str):
         made.close()
+    kept = [episode for episode, success in zip(played, succeeded) if success and len(episode[0]) > 1]
     if not kept:
-        best = f", the best has {max(returns):.6g}" if returns else ""
         raise ValueError(
-            f"none of {episodes} episodes has a return of {least} or more{best}; nothing is written; accepted: a policy that succeeds, "
-            "or another least_return, such as -math.inf for all"
+            f"none of {episodes} episodes {fault}; nothing is written; accepted: a policy that succeeds, or another least_return, such "
+            "as -math.inf for all"
         )
     # Whole, or not at all.
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
