@@ -17,9 +17,11 @@
 //! - A *survey* goes through what lies around t, whatever it may lead to, as long as that is little. It is over as soon as no
 //!   beginning that it has met, or may still meet, has an end within its steps.
 //! - Where it is much, a *sample* of the wanted is named. What a search does next depends on whether some wanted transition has no
-//!   beginning yet, and whether some has no end, and on their goals if these are few. More than `FEW` of both kinds decide as all
-//!   would. As levels are looked at, entries of the sample are done with, and another is drawn. At last those that are still open
-//!   are few, or have been met, and can all be named.
+//!   beginning yet, and whether some has no end, and on their goals if these are few. More than `FEW` of either kind decide as all
+//!   of that kind would. As levels are looked at, entries of the sample are done with, and another is drawn. Those that have no end yet
+//!   matter only while there are further levels after t, and those that have no beginning only while there are further ones before
+//!   it. Once a search has met its limit in one direction, or has looked at so many levels that only short bridges are left, the
+//!   wanted are all among those that it has met.
 //!
 //! Before anything else `horizon` is asked whether a bridge can lead through t at all. A search that goes on asks after each level
 //! whether a further one could still add a bridge, and needs no survey. With and without all this the same bridges are found.
@@ -82,6 +84,13 @@ enum Beside {
     Unknown,
     Nothing,
     Something,
+}
+
+/// Kinds of wanted transitions of which some are not named: those without a beginning so far, and those without an end.
+#[derive(Clone, Copy, Debug, Default)]
+struct Missing {
+    not_started: bool,
+    not_ended: bool,
 }
 
 /// Working memory of the search.
@@ -226,31 +235,31 @@ impl Search {
         let mut behind = Side::new(new.news == News::Link, self.limit);
         // An outline ends a search as early as a survey would.
         let most = if outline.is_some() { self.sample } else { self.many };
-        let mut all = self.collect(new, path, &reach, most, table, None);
-        if !all && outline.is_none() {
+        let mut missing = self.collect(new, path, &reach, most, table, None);
+        if missing.any() && outline.is_none() {
             if self.survey(new, path, table, &mut improved) {
                 return true;
             }
-            all = self.collect(new, path, &reach, self.sample, table, None);
+            missing = self.collect(new, path, &reach, self.sample, table, None);
         }
         self.horizon.looked(self.wanted.len() as u64);
         if self.wanted.is_empty() {
             return true;
         }
         self.begin(new);
-        if all {
+        if missing.any() {
+            self.meet(new, path, table);
+        } else {
             let first = Step { action: t.action, reward: t.reward, to: t.to };
             for w in self.wanted.iter().filter(|w| w.started) {
                 self.starts.note(w.j, 0, first, new.states);
             }
-        } else {
-            self.meet(new, path, table);
         }
         while !outline.is_some_and(|outline| outline.is_settled(&ahead, &behind)) {
             let Self { wanted, starts, ends, .. } = self;
             wanted.retain_mut(|w| w.is_open(starts, ends, [&ahead, &behind], path));
-            if !all && !Tally::of(&self.wanted).is_more_than(self.few) {
-                all = self.collect(new, path, &reach, self.few, table, Some([&ahead, &behind]));
+            if missing.is_due(Tally::of(&self.wanted), self.few) {
+                missing = self.collect(new, path, &reach, self.few, table, Some([&ahead, &behind]));
             }
             if self.wanted.is_empty() {
                 break;
@@ -276,9 +285,8 @@ impl Search {
         !cut_short
     }
 
-    /// Names the mentor transitions whose bridge a path through t could improve; with `sides`, those that are still open. False
-    /// if that is more than enough: then some of them are missing. Enough are more than `most` of which no beginning has been
-    /// found, or all of them, and more than `most` of which no end has been found, or all of them.
+    /// Names the mentor transitions whose bridge a path through t could improve; with `sides`, those that are still open. Of each
+    /// kind at least `most` + 1 are named, or all of them. Returns the kinds of which some are missing.
     fn collect(
         &mut self,
         new: &Arrival<'_>,
@@ -287,7 +295,7 @@ impl Search {
         most: usize,
         table: &AnnotationTable,
         sides: Option<[&Side; 2]>,
-    ) -> bool {
+    ) -> Missing {
         let Arrival { states, t, graph, oldest, starts, ends, .. } = *new;
         let Self { outlook, collecting, wanted, starts: begun, ends: ended, .. } = self;
         let newest = Newest {
@@ -304,19 +312,25 @@ impl Search {
         };
         let mut keep = |w: &mut Wanted| sides.is_none_or(|sides| w.is_open(begun, ended, sides, path));
         newest.collect_near(outlook, collecting, wanted, &mut keep);
-        let met = begun.touched.iter().map(|&j| j as usize);
-        let is_enough = |tally: Tally| tally.is_more_than(most);
-        if !newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough) {
-            return false;
+        let mut missing = Missing::default();
+        let [further_ahead, further_behind] = sides.map_or([true; 2], |sides| sides.map(|side| side.open));
+        // What lacks an end is open only as long as there are further levels ahead, and what lacks a beginning, behind.
+        if further_ahead {
+            let met = begun.touched.iter().map(|&j| j as usize);
+            let is_enough = |tally: Tally| tally.not_ended > most;
+            missing.not_ended = !newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough);
         }
-        let met = ended.touched.iter().flat_map(|&m| path.order.behind(m as usize, path.rule.n));
-        if newest.is_only_met() {
-            // All without an end have been named.
+        if further_behind {
+            let met = ended.within(newest.most_after()).iter();
+            let met = met.flat_map(|&m| path.order.behind(m as usize, path.rule.n));
             let is_enough = |tally: Tally| tally.not_started > most;
-            return newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough);
+            missing.not_started = !newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough);
         }
-        newest.collect_met(met, outlook, collecting, wanted, &mut keep, is_enough)
-            && newest.collect_far(outlook, collecting, most, wanted, &mut keep)
+        let is_met = !(further_ahead && further_behind) || newest.is_only_met();
+        if !is_met && !newest.collect_far(outlook, collecting, most, wanted, &mut keep) {
+            missing = Missing { not_started: true, not_ended: true };
+        }
+        missing
     }
 
     /// Goes through all that lies around t, and improves `table`. False if that is too much: then nothing has changed.
@@ -588,7 +602,25 @@ impl Beside {
     }
 }
 
+impl Missing {
+    /// Whether some are missing.
+    fn any(self) -> bool {
+        self.not_started || self.not_ended
+    }
+
+    /// Whether no more than `few` of a kind are left of which some are missing.
+    fn is_due(self, left: Tally, few: usize) -> bool {
+        self.not_started && left.not_started <= few || self.not_ended && left.not_ended <= few
+    }
+}
+
 impl Ends {
+    /// The mentor states to which at most `steps` steps after t lead.
+    fn within(&self, steps: u32) -> &[u32] {
+        // A level is noted as a whole, after all nearer ones.
+        &self.touched[..self.touched.partition_point(|&m| self.steps[m as usize] <= steps)]
+    }
+
     /// A path has arrived near a mentor state after `steps` steps.
     fn note(&mut self, hit: &Hit, steps: u32) {
         let m = hit.state as usize;

@@ -261,6 +261,12 @@ impl Newest<'_> {
         !is_enough(tally)
     }
 
+    /// The most steps after t that a bridge may have if no beginning of it lies on a level so far.
+    pub(super) fn most_after(&self) -> u32 {
+        let [_, before] = self.levels;
+        (self.path.rule.k as u32).saturating_sub(before + 2)
+    }
+
     /// Whether a bridge of a mentor transition would be too long of which neither the beginning nor an end lies on a level so far.
     pub(super) fn is_only_met(&self) -> bool {
         self.levels.iter().map(|steps| steps + 1).sum::<u32>() + 1 > self.path.rule.k as u32
@@ -400,7 +406,7 @@ impl Newest<'_> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tally {
     pub(super) not_started: usize,
-    not_ended: usize,
+    pub(super) not_ended: usize,
 }
 
 impl Tally {
