@@ -10,6 +10,7 @@ use super::cells::Cells;
 use super::strides::Strides;
 use crate::history::Stored;
 use crate::states::{MixedMap, States, mix};
+use smallvec::{SmallVec, smallvec};
 use trestle_proto::batch::{TERMINATED, TRUNCATED};
 
 /// All stored transitions from one state to another.
@@ -23,7 +24,8 @@ pub struct Link {
     out_at: u32,
     in_at: u32,
     count: u32,
-    steps: Vec<Step>,
+    /// Mostly one, which lies here.
+    steps: SmallVec<[Step; 1]>,
 }
 
 /// A stored transition that could be a bridge's first step.
@@ -81,7 +83,11 @@ pub enum News {
     Link,
 }
 
-/// The graph. Memory: about 160 bytes for each distinct pair (s, s') and 80 for each distinct state.
+/// Places of links. Where no state comes twice there are one or two, which lie with the state: a search that goes through many
+/// states waits for memory most of the time.
+type Links = SmallVec<[u32; 2]>;
+
+/// The graph. Memory: about 100 bytes for each distinct pair (s, s') and 80 for each distinct state.
 #[derive(Clone, Debug)]
 pub struct Graph {
     /// The distinct states in space.
@@ -91,8 +97,8 @@ pub struct Graph {
     links: Vec<Link>,
     free: Vec<u32>,
     /// Links that begin and that end in each state.
-    outgoing: Vec<Vec<u32>>,
-    incoming: Vec<Vec<u32>>,
+    outgoing: Vec<Links>,
+    incoming: Vec<Links>,
     /// The link of each pair (s, s').
     known: MixedMap<u32>,
 }
@@ -113,13 +119,13 @@ impl Graph {
 
     /// The links that begin in state `id`.
     pub fn outgoing(&self, id: u32) -> impl ExactSizeIterator<Item = &Link> {
-        let list = self.outgoing.get(id as usize).map_or(&[][..], Vec::as_slice);
+        let list = self.outgoing.get(id as usize).map_or(&[][..], Links::as_slice);
         list.iter().map(|&at| &self.links[at as usize])
     }
 
     /// The links that end in state `id`.
     pub fn incoming(&self, id: u32) -> impl ExactSizeIterator<Item = &Link> {
-        let list = self.incoming.get(id as usize).map_or(&[][..], Vec::as_slice);
+        let list = self.incoming.get(id as usize).map_or(&[][..], Links::as_slice);
         list.iter().map(|&at| &self.links[at as usize])
     }
 
@@ -139,8 +145,8 @@ impl Graph {
     pub fn add_state(&mut self, id: u32, states: &States) {
         self.cells.insert(id, |id| states.whitened(id));
         let bound = states.bound();
-        self.outgoing.resize_with(bound.max(self.outgoing.len()), Vec::new);
-        self.incoming.resize_with(bound.max(self.incoming.len()), Vec::new);
+        self.outgoing.resize_with(bound.max(self.outgoing.len()), Links::new);
+        self.incoming.resize_with(bound.max(self.incoming.len()), Links::new);
     }
 
     /// Removes a distinct state that has just been released for the last time; no link touches it any more.
@@ -164,7 +170,7 @@ impl Graph {
             out_at: out_at as u32,
             in_at: in_at as u32,
             count: 1,
-            steps: vec![step],
+            steps: smallvec![step],
         };
         let at = match self.free.pop() {
             Some(at) => {
@@ -193,7 +199,7 @@ impl Graph {
             return;
         }
         let (out_at, in_at) = (link.out_at as usize, link.in_at as usize);
-        link.steps = Vec::new();
+        link.steps = SmallVec::new();
         self.known.remove(&key);
         self.free.push(at);
         let list = &mut self.outgoing[t.from as usize];
