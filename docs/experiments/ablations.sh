@@ -10,6 +10,7 @@ exec "${TRESTLE:-target/release/trestle}" sweep suite --task-set choosing --out 
     --arm trestle:run.algo=trestle \
     --arm no-guide:run.algo=trestle,exploration.guide_start=0.000001,mentor.learned.search=0 \
     --arm no-own-paths:run.algo=trestle,mentor.learned.own_paths=0,mentor.learned.imitate=0 \
+    --arm no-correction:run.algo=trestle,mentor.learned.correct=0 \
     --arm no-imitation:run.algo=trestle,mentor.learned.imitate=0 \
     --arm no-gate:run.algo=trestle,mentor.learned.gate=false \
     --arm no-search:run.algo=trestle,mentor.learned.search=0 \

@@ -7,7 +7,7 @@ use crate::round::Round;
 use serde::{Deserialize, Serialize};
 
 /// What the frame of an encoded plan says that it is.
-pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 13 };
+pub const PLAN_KIND: Kind = Kind { magic: *b"TRPLAN\0\0", version: 14 };
 
 /// All that a child process needs to know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -88,7 +88,7 @@ impl Agent {
                 if let Some(own) = &mut self.own
                     && own.take(&self.replay, first, length, success)
                 {
-                    own.publish(&mut self.acting.own);
+                    self.publish_own();
                 }
                 if let Some(rival) = &mut self.rival {
                     rival.finish(&self.replay, first, length);

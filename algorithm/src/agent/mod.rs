@@ -239,6 +239,16 @@ impl Agent {
         &self.acting
     }
 
+    /// Shows own paths, where there may be any, to actors and to what imitates them.
+    fn publish_own(&mut self) {
+        if let Some(own) = &self.own {
+            own.publish(&mut self.acting.own);
+            if let Some(imitation) = &mut self.imitation {
+                imitation.renew(&self.acting.own);
+            }
+        }
+    }
+
     /// Takes in that the annotation of mentor transition `j` is a new one.
     fn renew_annotated(&mut self, j: usize) {
         if let (Some(rival), Some(mentor)) = (&self.rival, &mut self.mentor) {

@@ -174,9 +174,7 @@ impl Agent {
         if let Some(hindsight) = &self.hindsight {
             self.acting.policy.copy_from_slice(hindsight.params());
         }
-        if let Some(own) = &self.own {
-            own.publish(&mut self.acting.own);
-        }
+        self.publish_own();
         (0..mentor_len).for_each(|j| self.renew_known(j));
         self.renew_options();
         let rival = match &mut self.rival {

@@ -3,6 +3,7 @@
 use super::samples::{Samples, Sources};
 use super::terms::Terms;
 use super::{Agent, AgentError, TrainStats};
+use crate::learned_bridges::Hindsight;
 use crate::rivals::Shown;
 use trestle_proto::config::{Backend, TargetKind};
 use trestle_qnet::{AlignedBuffer, Kernels, Layout, Threads, Workspace, backward, clip_grad_norm};
@@ -77,8 +78,10 @@ impl Agent {
             Backend::Candle => gradient.copy_from_slice(&terms.autodiff(samples, network, settings)?),
         }
         // Imitation of own paths (ours) adds its share.
+        let policy = self.hindsight.as_ref().map_or(&[][..], Hindsight::params);
         if let (Some(imitation), Some(own)) = (&mut self.imitation, &self.own)
-            && let Some(loss) = imitation.add_gradient(network, encoding, own, gradient)?
+            && let Some(loss) =
+                imitation.add_gradient((network, encoding), own, (replay, policy), gradient)?
         {
             stats.imitation_steps += 1;
             stats.imitation_loss_sum += loss;

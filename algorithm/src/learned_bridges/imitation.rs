@@ -1,14 +1,19 @@
 //! How the Q-network imitates own paths: the large-margin loss of DQfD (Hester et al. 2018), on what the observer has itself walked
 //! to success and on nothing of the mentor's.
 //!
-//! For steps (s, a) drawn uniformly from all own paths the loss is
+//! For n steps (s, a) drawn uniformly from all own paths, and for those that a [`Correction`] adds, the loss is
 //!
 //! ```text
-//! λ mean( max_b [ Q(s, b) + margin [b != a] ] - Q(s, a) )
+//! λ / n sum( w [ max_b ( Q(s, b) + margin [b != a] ) - Q(s, a) ] )
 //! ```
+//!
+//! w is 1 for a step of an own path, and the correction's weight otherwise.
 
+use super::correction::Correction;
 use super::own::OwnPaths;
+use crate::replay::Replay;
 use rand::Rng;
+use trestle_proto::acting::OwnPlaces;
 use trestle_proto::rng::Stream;
 use trestle_qnet::{
     AlignedBuffer, Encoding, Kernels, Layout, NetworkError, QNetwork, Workspace, backward_outputs,
@@ -30,9 +35,11 @@ pub struct ImitationConfig {
 #[derive(Debug)]
 pub struct Imitation {
     config: ImitationConfig,
+    correction: Option<Correction>,
     layout: Layout,
     rng: Stream,
-    actions: Vec<usize>,
+    /// Action and weight w of each state of a step.
+    imitated: Vec<(usize, f32)>,
     workspace: Workspace,
     x: Vec<f32>,
     /// Outputs of the network, then the loss's derivatives by them.
@@ -41,17 +48,32 @@ pub struct Imitation {
 }
 
 impl Imitation {
-    /// For a Q-network of `layout`. `rng` draws steps.
-    pub fn new(layout: Layout, config: ImitationConfig, rng: Stream, kernels: Kernels) -> Self {
+    /// For a Q-network of `layout`. `rng` draws steps. A `correction` may add up to as many states as there are steps.
+    pub fn new(
+        layout: Layout,
+        config: ImitationConfig,
+        correction: Option<Correction>,
+        rng: Stream,
+        kernels: Kernels,
+    ) -> Self {
+        let rows = config.batch * if correction.is_some() { 2 } else { 1 };
         Self {
             rng,
-            actions: Vec::with_capacity(config.batch),
-            workspace: Workspace::with_kernels(&layout, config.batch, kernels),
-            x: vec![0.0; config.batch * layout.input()],
-            outputs: vec![0.0; config.batch * layout.output()],
+            imitated: Vec::with_capacity(rows),
+            workspace: Workspace::with_kernels(&layout, rows, kernels),
+            x: vec![0.0; rows * layout.input()],
+            outputs: vec![0.0; rows * layout.output()],
             grad: AlignedBuffer::new(layout.n_params()),
+            correction,
             layout,
             config,
+        }
+    }
+
+    /// Own paths are these from now on.
+    pub fn renew(&mut self, own: &OwnPlaces) {
+        if let Some(correction) = &mut self.correction {
+            correction.renew(own);
         }
     }
 
@@ -65,36 +87,48 @@ impl Imitation {
         self.rng.clone_from(rng);
     }
 
-    /// Adds the gradient of the loss of a batch of steps of `own` under the online parameters of `network` to `grad`. Returns the
-    /// loss; none without an own path, when nothing is drawn.
+    /// Adds the gradient of the loss of a batch of steps of `own` under the online parameters of `network` to `grad`. A correction
+    /// draws from `replay` and asks the guide's policy, whose parameters are `policy`. Returns the loss; none without an own path,
+    /// when nothing is drawn.
     ///
     /// # Errors
     /// The parameters cannot be had.
     pub fn add_gradient(
         &mut self,
-        network: &QNetwork,
-        encoding: &Encoding,
+        (network, encoding): (&QNetwork, &Encoding),
         own: &OwnPaths,
+        (replay, policy): (&Replay, &[f32]),
         grad: &mut [f32],
     ) -> Result<Option<f64>, NetworkError> {
         let steps = own.steps();
         if steps == 0 {
             return Ok(None);
         }
-        let Self { config, layout, rng, actions, workspace, x, outputs, grad: added } = self;
-        actions.clear();
-        for row in x.chunks_exact_mut(layout.input()) {
+        let Self { config, correction, layout, rng, imitated, workspace, x, outputs, grad: added } = self;
+        imitated.clear();
+        let mut rows = x.chunks_exact_mut(layout.input());
+        for row in rows.by_ref().take(config.batch) {
             // Below the number of steps.
             let Some((state, action)) = own.step(rng.random_range(0..steps)) else { continue };
             encoding.encode(state, row);
-            actions.push(action as usize);
+            imitated.push((action as usize, 1.0));
         }
+        if let Some(correction) = correction {
+            let weight = correction.config().weight;
+            let corrected = correction.draw(config.batch, replay, policy, rng);
+            for (&(slot, action), row) in corrected.iter().zip(rows) {
+                encoding.encode_row(replay.obs(slot), row);
+                imitated.push((action as usize, weight));
+            }
+        }
+        let rows = imitated.len();
+        let (x, outputs) = (&x[..rows * layout.input()], &mut outputs[..rows * layout.output()]);
         let loss = network.with_params(|online, _| {
-            forward_train(layout, online, x, config.batch, workspace, outputs);
+            forward_train(layout, online, x, rows, workspace, outputs);
             let scale = config.weight / config.batch as f32;
             let mut sum = 0.0;
-            for (q, &action) in outputs.chunks_exact_mut(layout.output()).zip(&*actions) {
-                sum += f64::from(differentiate(q, action, config.margin, scale));
+            for (q, &(action, weight)) in outputs.chunks_exact_mut(layout.output()).zip(&*imitated) {
+                sum += f64::from(weight * differentiate(q, action, config.margin, scale * weight));
             }
             backward_outputs(layout, online, workspace, outputs, added);
             sum

@@ -1,5 +1,6 @@
 //! From an experiment to the parts of learned bridges, and from settings that are automatic to numbers.
 
+use super::correction::{Correction, CorrectionConfig};
 use super::goal::{Goal, scales};
 use super::hindsight::{Hindsight, HindsightConfig};
 use super::imitation::{Imitation, ImitationConfig};
@@ -63,9 +64,13 @@ pub fn resolve(
     if learned.features.is_empty() {
         learned.features = automatic(settings.features.numbers().unwrap_or_default(), spec);
     }
-    // An episode cannot be told to have been the first success.
-    if !spec.defines_success {
+    // A search ends with the first own path.
+    if !spec.defines_success || learned.own_paths == 0 {
         learned.search = 0.0;
+    }
+    // Without inertia the observer comes back to the very states of its own paths, where it knows better than π.
+    if spec.velocities.is_empty() || learned.imitate == 0.0 {
+        learned.correct = 0.0;
     }
     let features = &learned.features;
     let ascending = features.is_sorted_by(|a, b| a < b);
@@ -195,8 +200,18 @@ pub fn imitation_of(experiment: &Experiment) -> Result<Option<Imitation>, PlanEr
         margin: learned.margin as f32,
         batch: experiment.config.learner.batch,
     };
-    let rng = stream(experiment.config.run.seed, Purpose::Imitation, 0);
-    Ok(Some(Imitation::new(layout, config, rng, kernels_of(experiment)?)))
+    let (rng, kernels) = (stream(experiment.config.run.seed, Purpose::Imitation, 0), kernels_of(experiment)?);
+    let corrected = policy_of(experiment)?.filter(|_| learned.correct > 0.0);
+    let correction = corrected.map(|(goal, layout)| {
+        let correct = CorrectionConfig {
+            weight: learned.correct as f32,
+            radius: learned.radius as f32,
+            lookahead: learned.lookahead as f32,
+            horizon: learned.horizon,
+        };
+        Correction::new(goal, layout, correct, config.batch, kernels)
+    });
+    Ok(Some(Imitation::new(layout, config, correction, rng, kernels)))
 }
 
 #[cfg(test)]
@@ -277,12 +292,24 @@ mod tests {
     }
 
     #[test]
-    fn without_successes_none_is_looked_for() {
-        for (defines_success, search) in [(true, 0.5), (false, 0.0)] {
-            let mut settings = config::Mentor::default();
+    fn without_successes_or_own_paths_none_is_looked_for() {
+        for (defines_success, own_paths, search) in [(true, 1, 0.5), (false, 1, 0.0), (true, 0, 0.0)] {
+            let learned = Learned { own_paths, ..Learned::default() };
+            let mut settings = config::Mentor { learned, ..config::Mentor::default() };
             let spec = EnvSpec { defines_success, ..spec() };
             resolve(&mut settings, &spec, &mentor(&[&[0.0, 6.0]])).unwrap();
             assert_eq!(settings.learned.search, search);
+        }
+    }
+
+    #[test]
+    fn the_guide_corrects_only_where_states_have_velocities_and_own_paths_are_imitated() {
+        for (velocities, imitate, correct) in [(vec![1], 1.0, 0.7), (vec![], 1.0, 0.0), (vec![1], 0.0, 0.0)] {
+            let learned = Learned { imitate, correct: 0.7, ..Learned::default() };
+            let mut settings = config::Mentor { learned, ..config::Mentor::default() };
+            let spec = EnvSpec { velocities, ..spec() };
+            resolve(&mut settings, &spec, &mentor(&[&[0.0, 6.0]])).unwrap();
+            assert_eq!(settings.learned.correct, correct);
         }
     }
 

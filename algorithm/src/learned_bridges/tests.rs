@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use super::correction::{Correction, CorrectionConfig};
 use super::goal::{Goal, draw, softmax};
 use super::hindsight::{Hindsight, HindsightConfig};
 use super::path::{Path, Paths, Place, distance};
@@ -14,7 +15,7 @@ use trestle_proto::acting::OwnPlaces;
 use trestle_proto::batch::{FIRST, TERMINATED, TRUNCATED, Transition};
 use trestle_proto::rng::Stream;
 use trestle_proto::waypoints::Waypoints;
-use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, forward, init};
+use trestle_qnet::{AdamConfig, Encoding, Isa, Kernels, Layout, Workspace, argmax, forward, init};
 
 const PACE: Pace =
     Pace { window: 10.0, lookahead: 1.0, gate: true, idle: 0, roam: 0, back_off: 1.0, search: 0.0 };
@@ -107,6 +108,63 @@ proptest! {
             let mut other = hindsight(batch, horizon, seed, Kernels::new(isa).unwrap());
             prop_assert_eq!(other.gradient(&replay).1, grad.clone(), "{}", isa);
         }
+    }
+
+    /// Every drawn state that an own path is near, and no other, with the action that π likes best on the way to the place ahead; the
+    /// second best where the best is most of what was done there and brought the observer no closer.
+    #[test]
+    fn states_near_own_paths_are_corrected(
+        own in prop::collection::vec(prop::collection::vec(-6i8..=6, 2..6), 0..3),
+        radius in 0.1f32..1.5, lookahead in 0.0f32..4.0, horizon in 1usize..7, seed in 0u64..1000,
+    ) {
+        let (replay, _) = walks(30, 50, seed);
+        let hindsight = hindsight(1, 1, seed, Kernels::detect());
+        let (layout, params) = (hindsight.layout().clone(), hindsight.params());
+        let config = CorrectionConfig { weight: 1.0, radius, lookahead, horizon };
+        let mut correction = Correction::new(goal(), layout.clone(), config, 40, Kernels::detect());
+        // In units of 2, and no two equally near: no place is in the middle of two others.
+        let path = |path: &Vec<i8>| path.iter().map(|&x| f32::from(x) + 0.01 * f32::from(x * x)).collect();
+        let paths: Vec<Vec<f32>> = own.iter().map(path).collect();
+        let lengths: Vec<u32> = paths.iter().map(|path| path.len() as u32).collect();
+        correction.renew(&OwnPlaces { lengths, places: paths.concat() });
+        let mut rng = Stream::seed_from_u64(seed);
+        let mut drawn = Vec::new();
+        if !paths.is_empty() {
+            replay.sample(&mut rng.clone(), 40, &mut drawn);
+        }
+        let way = |places: &[f32]| places.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum::<f32>();
+        let at = |slot: Option<usize>, next: usize| {
+            let mut wide = Vec::new();
+            slot.map_or_else(|| replay.next_obs(next), |slot| replay.obs(slot)).wide(&mut wide).to_vec()
+        };
+        let mut expected = Vec::new();
+        for slot in drawn.into_iter().map(|slot| slot as usize) {
+            let obs = at(Some(slot), 0);
+            let away = |place: f32| (place - obs[0] / 2.0).abs();
+            // What is left of a path from each of its places on.
+            let rests = || paths.iter().flat_map(|path| (0..path.len()).map(|m| &path[m..]));
+            let there = rests().filter(|rest| away(rest[0]) <= radius).min_by(|a, b| way(a).total_cmp(&way(b)));
+            let near = || {
+                let within = rests().filter(|rest| away(rest[0]) <= 2.0 * radius);
+                within.min_by(|a, b| away(a[0]).total_cmp(&away(b[0])))
+            };
+            let Some(rest) = there.or_else(near) else { continue };
+            let ahead = (0..rest.len()).find(|&m| way(&rest[..=m]) >= lookahead).unwrap_or(rest.len() - 1);
+            let (mut x, mut outputs) = ([0.0; 3], [0.0; 3]);
+            goal().encode(&obs, &[rest[ahead]], &mut x);
+            let mut workspace = Workspace::with_kernels(&layout, 1, Kernels::detect());
+            forward(&layout, params, &x, 1, &mut workspace, &mut outputs);
+            let best = argmax(&outputs);
+            let steps: Vec<usize> = replay.path(slot, horizon).collect();
+            let same = steps.iter().filter(|&&slot| replay.get(slot).action as usize == best).count();
+            let left = |obs: Vec<f32>| (obs[0] / 2.0 - rest[ahead]).abs();
+            let closest = steps.iter().map(|&slot| left(at(None, slot))).fold(f32::INFINITY, f32::min);
+            if 2 * same > steps.len() && closest > 0.9 * left(obs) {
+                outputs[best] = f32::NEG_INFINITY;
+            }
+            expected.push((slot, argmax(&outputs) as u32));
+        }
+        prop_assert_eq!(correction.draw(40, &replay, params, &mut rng), expected);
     }
 
     /// Goals are states of the same actor's same episode, 1 to `horizon` steps later: a walk through the plain history.

@@ -51,6 +51,7 @@ impl Config {
             (self.whole_bridges(), "+whole-bridges"),
             (learned && self.run.algo != Algo::Trestle, "+learned-bridges"),
             (imitates && self.run.algo != Algo::Trestle, "+imitation"),
+            (imitates && mentor.learned.correct > 0.0 && self.run.algo != Algo::Trestle, "+correction"),
             (self.shaped(), "+shaped"),
         ];
         let on = suffixes.iter().filter(|(on, _)| *on).map(|(_, suffix)| *suffix);
@@ -86,6 +87,8 @@ mod tests {
         assert_eq!(arm(&["run.algo=dqn", learned[0]]), "dqn");
         let imitating = ["run.algo=ha-diiqn", "mentor.learned.imitate=1", learned[0], learned[1]];
         assert_eq!(arm(&imitating), "ha-diiqn+learned-bridges+imitation");
+        let corrected = [&imitating[..], &["mentor.learned.correct=1"]].concat();
+        assert_eq!(arm(&corrected), "ha-diiqn+learned-bridges+imitation+correction");
         assert_eq!(arm(&["run.algo=trestle"]), "trestle");
         let whole = ["run.algo=ha-diiqn", "exploration.guide_start=0.5", "exploration.guide_whole=true"];
         assert_eq!(arm(&whole), "ha-diiqn+guided+whole-bridges");

@@ -21,6 +21,7 @@ guide_decay_steps = 0
 
 [mentor.learned]
 imitate = 1.0
+correct = 1.0
 "#;
 
 #[cfg(test)]

@@ -52,5 +52,9 @@ settings! {
         imitate: f64 = 0.0, at_least(0.0);
         /// By how much the value of an own path's action is to exceed those of all others.
         margin: f64 = 0.1, at_least(0.0);
+        /// Weight, beside that of a step of an own path, with which each gradient step imitates the guide's likeliest action in
+        /// those of `learner.batch` stored states that an own path is near. 0: it never does. Only where states have velocities, and
+        /// with `imitate` above 0.
+        correct: f64 = 0.0, at_least(0.0);
     }
 }
