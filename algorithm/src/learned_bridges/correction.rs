@@ -6,8 +6,8 @@
 //! goal g lies a lookahead further along than the state.
 //!
 //! π may be wrong, and the observer would then do the wrong thing there again and again, from which π could learn nothing better.
-//! So where that action is most of what the observer did in the next steps, and they brought it no closer to g, π's second choice takes
-//! its place.
+//! So where that action is most of what the observer did in the next steps, and they brought it less than a tenth closer to g, π's
+//! second choice takes its place.
 //!
 //! Labels for the states that the learner itself comes to are the idea of `DAgger` (Ross, Gordon and Bagnell 2011). There an expert
 //! gives them; here π does, which was learnt from the observer's own steps.
