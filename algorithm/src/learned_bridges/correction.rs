@@ -2,7 +2,7 @@
 //!
 //! With inertia no state of an own path ever comes back exactly. A greedy policy that knows the path's states alone gets stuck
 //! beside it, in front of a wall or going round and round. So states are drawn uniformly from the replay. Where an own path is within
-//! [`REACH`] of one, the guide's likeliest action towards the path, argmax_a π(a | s, g), is imitated as if it were the path's. The
+//! `REACH` of one, the guide's likeliest action towards the path, argmax_a π(a | s, g), is imitated as if it were the path's. The
 //! goal g lies a lookahead further along than the state.
 //!
 //! π may be wrong, and the observer would then do the wrong thing there again and again, from which π could learn nothing better.
