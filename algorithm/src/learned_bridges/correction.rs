@@ -13,7 +13,7 @@
 //! gives them; here π does, which was learnt from the observer's own steps.
 
 use super::goal::Goal;
-use super::path::{Path, distance};
+use super::path::{Path, distance, kl_within, nearest};
 use crate::replay::Replay;
 use crate::similarity::Hit;
 use trestle_proto::acting::OwnPlaces;
@@ -21,8 +21,8 @@ use trestle_proto::rng::Stream;
 use trestle_proto::row::Row;
 use trestle_qnet::{Kernels, Layout, Workspace, argmax, forward};
 
-/// How far an own path may be from a state that is corrected, in radii of learned bridges. In the Point Maze that is three quarters of
-/// a cell, less than a wall is thick.
+/// How far an own path may be from a state that is corrected, in radii of learned bridges. In the presets of the Point Maze, with their
+/// five simulated steps to a step, that is three quarters of a cell, less than a wall is thick.
 const REACH: f32 = 2.0;
 
 /// By which share the way to the goal has to become shorter for a try to have led somewhere.
@@ -47,15 +47,13 @@ impl CorrectionConfig {
         REACH * self.radius
     }
 
-    /// Where a state counts as being, of the places `hits` within reach of it: of those within the radius the one with the shortest way
-    /// to the end of its path, since a path may come by twice, and else the nearest one.
+    /// The place where a state counts as being, given the places `hits` within reach of it. Among places within the radius it is the one
+    /// with the shortest way to the end of its path, since a path may come by twice. Else it is the nearest place.
     fn place(&self, path: &Path, hits: &[Hit]) -> Option<usize> {
         let rest = |hit: &&Hit| path.length(path.end(hit.state as usize)) - path.length(hit.state as usize);
-        // KL with unit variances is half the squared distance.
-        let there = hits.iter().filter(|hit| hit.kl <= 0.5 * self.radius * self.radius);
+        let there = hits.iter().filter(|hit| hit.kl <= kl_within(self.radius));
         let last = there.min_by(|a, b| rest(a).total_cmp(&rest(b)));
-        let place = last.or_else(|| hits.iter().min_by(|a, b| a.kl.total_cmp(&b.kl)));
-        place.map(|hit| hit.state as usize)
+        last.or_else(|| nearest(hits)).map(|hit| hit.state as usize)
     }
 }
 
@@ -115,8 +113,9 @@ impl Correction {
             some.then(|| Path::new(own.places.clone(), self.goal.dim(), &own.lengths, self.config.reach()));
     }
 
-    /// Draws `n` states of `replay`. Gives the slots of those that an own path is near, and for each of them the likeliest action of π
-    /// with the parameters `params`, or the second where that one has been tried and led nowhere. Nothing is drawn without an own path.
+    /// Draws `n` states of `replay`. Gives the slot of each drawn state near an own path, with the likeliest action there of π, whose
+    /// parameters are `params`. The second likeliest takes its place where it has been tried and led nowhere. Nothing is drawn
+    /// without an own path.
     pub fn draw(&mut self, n: usize, replay: &Replay, params: &[f32], rng: &mut Stream) -> &[(usize, u32)] {
         let Self { config, goal, layout, workspace, path, slots, aims, corrected, .. } = self;
         aims.clear();
@@ -142,21 +141,23 @@ impl Correction {
         forward(layout, params, x, aims.len(), workspace, outputs);
         for (&(slot, aim), outputs) in aims.iter().zip(outputs.chunks_exact_mut(n_actions)) {
             let (mut action, g) = (argmax(outputs), path.place(aim));
-            let mut away = |obs: Row<'_>| {
-                self.place.clear();
-                goal.place(obs.wide(&mut self.wide), &mut self.place);
-                distance(&self.place, g)
-            };
-            let closer = (1.0 - CLOSER) * away(replay.obs(slot));
-            let (mut steps, mut tried, mut came) = (0, 0, false);
+            let (mut steps, mut same) = (0, 0);
             for slot in replay.path(slot, config.horizon) {
                 steps += 1;
-                tried += usize::from(replay.get(slot).action as usize == action);
-                came |= away(replay.next_obs(slot)) <= closer;
+                same += usize::from(replay.get(slot).action as usize == action);
             }
-            if 2 * tried > steps && !came {
-                outputs[action] = f32::NEG_INFINITY;
-                action = argmax(outputs);
+            if 2 * same > steps {
+                let mut away = |obs: Row<'_>| {
+                    self.place.clear();
+                    goal.place(obs.wide(&mut self.wide), &mut self.place);
+                    distance(&self.place, g)
+                };
+                let closer = (1.0 - CLOSER) * away(replay.obs(slot));
+                let mut tried = replay.path(slot, config.horizon);
+                if !tried.any(|slot| away(replay.next_obs(slot)) <= closer) {
+                    outputs[action] = f32::NEG_INFINITY;
+                    action = argmax(outputs);
+                }
             }
             corrected.push((slot, action as u32));
         }

@@ -1,7 +1,7 @@
 //! How the Q-network imitates own paths: the large-margin loss of DQfD (Hester et al. 2018), on what the observer has itself walked
 //! to success and on nothing of the mentor's.
 //!
-//! For n steps (s, a) drawn uniformly from all own paths, and for those that a [`Correction`] adds, the loss is
+//! For n steps (s, a) drawn uniformly from all own paths, and for the states that a [`Correction`] adds, the loss is
 //!
 //! ```text
 //! λ / n sum( w [ max_b ( Q(s, b) + margin [b != a] ) - Q(s, a) ] )

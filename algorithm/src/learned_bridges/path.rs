@@ -38,8 +38,7 @@ impl Path {
                 length.push(covered);
             }
         }
-        // KL with unit variances is half the squared distance.
-        Self { index: Similarity::new(places, dim, 0.5 * radius * radius), length, end }
+        Self { index: Similarity::new(places, dim, kl_within(radius)), length, end }
     }
 
     /// The mentor's path: that of `waypoints`, states of `dim` features, at least one.
@@ -149,6 +148,16 @@ impl Paths {
         self.mentor.near(place, stack, hits);
         false
     }
+}
+
+/// The KL of two places that are `radius` apart: with unit variances it is half the squared distance.
+pub(super) fn kl_within(radius: f32) -> f32 {
+    0.5 * radius * radius
+}
+
+/// The nearest of `hits`, the first one of several; none of none.
+pub(super) fn nearest(hits: &[Hit]) -> Option<&Hit> {
+    hits.iter().min_by(|a, b| a.kl.total_cmp(&b.kl))
 }
 
 /// The Euclidean distance of two places.

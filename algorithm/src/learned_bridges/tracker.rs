@@ -20,7 +20,7 @@
 //! elsewhere. As long as there is no own path, each time in a row is `back_off` times as long as the one before. At the end of a path
 //! there is nothing to lead to, and it lets go for good.
 
-use super::path::{Paths, Place};
+use super::path::{Paths, Place, nearest};
 use crate::similarity::Hit;
 use serde::{Deserialize, Serialize};
 use trestle_proto::config::Learned;
@@ -184,8 +184,7 @@ impl Tracker {
             };
             hits.iter().map(|hit| hit.state).rfind(|&state| near(state as usize))
         });
-        let nearest = || hits.iter().min_by(|a, b| a.kl.total_cmp(&b.kl)).map(|hit| hit.state);
-        let Some(number) = on.or_else(nearest) else { return };
+        let Some(number) = on.or_else(|| nearest(hits).map(|hit| hit.state)) else { return };
         let at = Place { own, number };
         self.at = Some(at);
         let share = paths.of(at).share(number as usize);

@@ -53,8 +53,8 @@ settings! {
         /// By how much the value of an own path's action is to exceed those of all others.
         margin: f64 = 0.1, at_least(0.0);
         /// Weight, beside that of a step of an own path, with which each gradient step imitates the guide's likeliest action in
-        /// those of `learner.batch` stored states that an own path is near. 0: it never does. Only where states have velocities, and
-        /// with `imitate` above 0.
+        /// stored states near an own path. `learner.batch` stored states are drawn for it. 0: it never does. Only where states
+        /// have velocities, and with `imitate` above 0.
         correct: f64 = 0.0, at_least(0.0);
     }
 }
