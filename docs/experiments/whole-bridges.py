@@ -8,28 +8,15 @@ A run that was not solved counts with the steps that it took, its budget.
 """
 
 import csv
-import json
-import math
-import random
 import statistics
 import sys
 from pathlib import Path
 
-FIELDS = ["task", "arm", "seed", "episodes", "env_steps", "solved_episode", "solved_env_steps"]
+from tables import geometric_mean, rows_of, with_interval
+
+FIELDS = ["episodes", "env_steps", "solved_episode", "solved_env_steps"]
 ARMS = ["dqn", "ha-diiqn", "end", "guided", "whole"]
 RATIOS = [("end", "ha-diiqn"), ("whole", "guided"), ("ha-diiqn", "dqn"), ("guided", "dqn"), ("whole", "dqn")]
-RESAMPLES = 2000
-
-
-def rows_of(out: Path) -> list[dict]:
-    """A row for each complete run below `out`, which has directories for groups, tasks, arms and seeds."""
-    rows = []
-    for path in sorted(out.glob("**/seed-*/result.json")):
-        result = json.loads(path.read_text())
-        *_, group, task, arm, _, _ = path.parts
-        rows.append({"task": f"{group}/{task}", "arm": arm, "seed": path.parent.name.removeprefix("seed-")})
-        rows[-1] |= {field: result.get(field) for field in FIELDS[3:]}
-    return rows
 
 
 def steps(rows: list[dict]) -> dict[str, dict[str, dict[int, float]]]:
@@ -49,16 +36,9 @@ def ratio(found: dict, arm: str, base: str) -> str:
         common = sorted(arms.get(arm, {}).keys() & arms.get(base, {}).keys())
         if common:
             pairs.append(([arms[arm][seed] for seed in common], [arms[base][seed] for seed in common]))
-    mean = lambda logs: math.exp(sum(logs) / len(logs))
-    medians = [statistics.median(times) / statistics.median(others) for times, others in pairs]
-    draw = random.Random(1)
-    resample = lambda of: statistics.median(draw.choices(of, k=len(of)))
-    all_ = sorted(
-        mean([math.log(resample(times) / resample(others)) for times, others in pairs]) for _ in range(RESAMPLES)
-    )
-    low, high = all_[RESAMPLES // 40], all_[-RESAMPLES // 40 - 1]
-    smaller = sum(median < 1 for median in medians)
-    return f"{mean(list(map(math.log, medians))):.2f} [{low:.2f}, {high:.2f}] | {smaller} of {len(pairs)}"
+    ratios = lambda pick: [pick(times) / pick(others) for times, others in pairs]
+    smaller = sum(ratio < 1 for ratio in ratios(statistics.median))
+    return f"{with_interval(lambda pick: geometric_mean(ratios(pick)))} | {smaller} of {len(pairs)}"
 
 
 def tables(rows: list[dict]) -> None:
@@ -83,7 +63,8 @@ def tables(rows: list[dict]) -> None:
 
 def main() -> None:
     if len(sys.argv) > 1:
-        csv.DictWriter(sys.stdout, FIELDS, lineterminator="\n").writerows(rows_of(Path(sys.argv[1])))
+        writer = csv.DictWriter(sys.stdout, ["task", "arm", "seed", *FIELDS], lineterminator="\n")
+        writer.writerows(rows_of(Path(sys.argv[1]), FIELDS))
         return
     with Path(__file__).with_suffix(".csv").open() as file:
         rows = list(csv.DictReader(file))
